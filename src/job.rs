@@ -1,0 +1,144 @@
+//! How a kernel runs: on which threads, how it is stopped, and how far it has come.
+//!
+//! Pools are made once for each thread count and kept. A pool belongs to the process that made it:
+//! after a fork its threads are gone and waiting for them would hang, so a child gets
+//! [`LodError::Forked`] instead.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::error::{LodError, check_in};
+
+/// More threads than this in one pool is taken for a mistake.
+pub const MAX_THREAD_COUNT: usize = 1024;
+
+/// Shared between a running kernel and whoever waits for it.
+#[derive(Debug, Default)]
+pub struct Job {
+    cancelled: AtomicBool,
+    done: AtomicU64,
+    total: AtomicU64,
+}
+
+impl Job {
+    /// Asks the kernel to stop; it does so at its next check.
+    pub fn cancel(&self) {
+        self.cancelled.store(true, Ordering::Relaxed);
+    }
+
+    /// Called by kernels at least every few milliseconds.
+    ///
+    /// # Errors
+    /// [`LodError::Cancelled`] once [`Job::cancel`] was called.
+    pub fn check(&self) -> Result<(), LodError> {
+        if self.cancelled.load(Ordering::Relaxed) { Err(LodError::Cancelled) } else { Ok(()) }
+    }
+
+    /// Announces how many steps the kernel will take.
+    pub fn begin(&self, total: u64) {
+        self.done.store(0, Ordering::Relaxed);
+        self.total.store(total, Ordering::Relaxed);
+    }
+
+    /// Counts one step as done.
+    pub fn advance(&self) {
+        self.done.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Steps done and steps in all; (0, 0) before [`Job::begin`].
+    pub fn progress(&self) -> (u64, u64) {
+        (self.done.load(Ordering::Relaxed), self.total.load(Ordering::Relaxed))
+    }
+}
+
+struct Pools {
+    process_id: u32,
+    by_thread_count: BTreeMap<usize, Arc<ThreadPool>>,
+}
+
+static POOLS: Mutex<Option<Pools>> = Mutex::new(None);
+
+/// The thread count used where a call states none: `TREELOD_NUM_THREADS`, else all cores.
+///
+/// # Errors
+/// [`LodError::Invalid`] if the variable is set to something that is no thread count.
+pub fn default_thread_count() -> Result<usize, LodError> {
+    let Ok(text) = std::env::var("TREELOD_NUM_THREADS") else {
+        return Ok(std::thread::available_parallelism().map_or(1, |count| count.get()));
+    };
+    match text.trim().parse() {
+        Ok(count) if (1..=MAX_THREAD_COUNT).contains(&count) => Ok(count),
+        _ => Err(LodError::Invalid {
+            name: "TREELOD_NUM_THREADS",
+            why: format!("must be in [1, {MAX_THREAD_COUNT}], got {text:?}"),
+        }),
+    }
+}
+
+/// Runs `kernel` inside the pool of `thread_count` threads (`None`: the default count).
+///
+/// # Errors
+/// Whatever the kernel returns; [`LodError::OutOfRange`] for a thread count of 0 or above
+/// [`MAX_THREAD_COUNT`]; [`LodError::Forked`] in a child of the process that made the pools.
+pub fn run<T: Send>(
+    thread_count: Option<usize>,
+    kernel: impl FnOnce() -> Result<T, LodError> + Send,
+) -> Result<T, LodError> {
+    let count = match thread_count {
+        Some(count) => count,
+        None => default_thread_count()?,
+    };
+    check_in("threads", count, 1..=MAX_THREAD_COUNT)?;
+    pool(count)?.install(kernel)
+}
+
+fn pool(thread_count: usize) -> Result<Arc<ThreadPool>, LodError> {
+    // A panic while the lock was held leaves the map whole, so a poisoned lock is still good.
+    let mut guard = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
+    let process_id = std::process::id();
+    let pools = guard.get_or_insert_with(|| Pools { process_id, by_thread_count: BTreeMap::new() });
+    if pools.process_id != process_id {
+        return Err(LodError::Forked);
+    }
+    if let Some(pool) = pools.by_thread_count.get(&thread_count) {
+        return Ok(Arc::clone(pool));
+    }
+    let built = ThreadPoolBuilder::new()
+        .num_threads(thread_count)
+        .thread_name(|index| format!("treelod-{index}"))
+        .build();
+    let pool = Arc::new(built.map_err(|error| LodError::Invalid {
+        name: "threads",
+        why: format!("the system gave no {thread_count} threads: {error}"),
+    })?);
+    pools.by_thread_count.insert(thread_count, Arc::clone(&pool));
+    Ok(pool)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_on_the_stated_number_of_threads() {
+        for count in [1, 3] {
+            let seen = run(Some(count), || Ok(rayon::current_num_threads()));
+            assert_eq!(seen, Ok(count), "{count} threads");
+        }
+        assert!(run(Some(0), || Ok(())).is_err(), "0 threads can do nothing");
+    }
+
+    #[test]
+    fn a_cancelled_job_says_so() {
+        let job = Job::default();
+        assert_eq!(job.check(), Ok(()), "not cancelled yet");
+        job.begin(3);
+        job.advance();
+        assert_eq!(job.progress(), (1, 3), "one of three steps");
+        job.cancel();
+        assert_eq!(job.check(), Err(LodError::Cancelled), "cancelled");
+    }
+}

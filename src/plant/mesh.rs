@@ -1,0 +1,147 @@
+//! Triangles with everything that drawing them needs: the wood of a plant, or its foliage.
+//!
+//! Positions are f32 relative to [`Plant::origin`](crate::plant::Plant::origin), so a plant far
+//! from the world's origin keeps its detail.
+
+use std::ops::Range;
+
+use glam::{DVec3, Vec2, Vec3, Vec4};
+
+use crate::error::{LodError, check_finite, check_limit};
+
+/// Vertices or triangles that one mesh may hold: indices are u32 with one value kept back.
+pub const MAX_ELEMENT_COUNT: u64 = u32::MAX as u64 - 1;
+
+/// Consecutive triangles that share a material.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Part {
+    /// Index into [`Plant::materials`](crate::plant::Plant::materials).
+    pub material: u32,
+    /// The triangles, as a range of indices into [`Mesh::triangles`].
+    pub triangles: Range<u32>,
+}
+
+/// Indexed triangles. All per-vertex arrays have the same length.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Mesh {
+    /// Metres, relative to the plant's origin.
+    pub positions: Vec<Vec3>,
+    /// Unit length, or zero where none is known.
+    pub normals: Vec<Vec3>,
+    /// Texture coordinates, v = 0 on the texture's top row; zero where there is no texture.
+    pub uvs: Vec<Vec2>,
+    /// Linear base colour (factor times vertex colour) with straight alpha.
+    pub base: Vec<Vec4>,
+    /// Lit linear colour of the side from which a triangle's corners run counter-clockwise.
+    pub front: Vec<Vec3>,
+    /// Lit linear colour of the other side.
+    pub back: Vec<Vec3>,
+    /// Corner indices into the vertex arrays.
+    pub triangles: Vec<[u32; 3]>,
+    /// Covers `triangles` exactly, in order.
+    pub parts: Vec<Part>,
+}
+
+impl Mesh {
+    /// Whether there is nothing to draw.
+    pub fn is_empty(&self) -> bool {
+        self.triangles.is_empty()
+    }
+
+    /// The three corners of a triangle.
+    pub fn corners(&self, triangle: usize) -> [Vec3; 3] {
+        self.triangles[triangle].map(|vertex| self.positions[vertex as usize])
+    }
+
+    /// Smallest box around every vertex that a triangle uses, or `None` without triangles.
+    pub fn bounds(&self) -> Option<(Vec3, Vec3)> {
+        let mut corners = self.triangles.iter().flatten().map(|&v| self.positions[v as usize]);
+        let first = corners.next()?;
+        Some(corners.fold((first, first), |(low, high), p| (low.min(p), high.max(p))))
+    }
+
+    /// Sum of all triangle areas, in square metres.
+    pub fn area(&self) -> f64 {
+        (0..self.triangles.len()).map(|triangle| triangle_area(self.corners(triangle))).sum()
+    }
+
+    /// Material of each triangle, in triangle order.
+    pub fn triangle_materials(&self) -> impl Iterator<Item = u32> {
+        self.parts.iter().flat_map(|part| part.triangles.clone().map(|_| part.material))
+    }
+
+    /// Checks lengths, indices, finiteness and that `parts` covers the triangles.
+    ///
+    /// # Errors
+    /// The first thing that is wrong, under the name of the array it is wrong in.
+    pub fn check(&self, material_count: usize) -> Result<(), LodError> {
+        let vertex_count = self.positions.len();
+        check_limit("positions", vertex_count as u64, MAX_ELEMENT_COUNT, "vertices")?;
+        check_limit("triangles", self.triangles.len() as u64, MAX_ELEMENT_COUNT, "triangles")?;
+        let lengths = [
+            ("normals", self.normals.len()),
+            ("uvs", self.uvs.len()),
+            ("colors", self.base.len()),
+            ("front", self.front.len()),
+            ("back", self.back.len()),
+        ];
+        for (name, length) in lengths {
+            if length != vertex_count {
+                let why = format!("has {length} rows for {vertex_count} vertices");
+                return Err(LodError::Invalid { name, why });
+            }
+        }
+        check_finite("positions", &self.positions)?;
+        check_finite("normals", &self.normals)?;
+        check_finite("uvs", &self.uvs)?;
+        check_finite("colors", &self.base)?;
+        let beyond = |corners: &[u32; 3]| corners.iter().any(|&v| v as usize >= vertex_count);
+        if let Some(triangle) = self.triangles.iter().position(beyond) {
+            let corners = self.triangles[triangle];
+            let why = format!(
+                "triangle {triangle} has corners {corners:?} but there are {vertex_count} vertices"
+            );
+            return Err(LodError::Invalid { name: "triangles", why });
+        }
+        let mut next = 0;
+        for part in &self.parts {
+            if part.triangles.start != next || part.triangles.end < next {
+                let why = "parts must follow one another without gaps".to_owned();
+                return Err(LodError::Invalid { name: "material_ids", why });
+            }
+            next = part.triangles.end;
+            if part.material as usize >= material_count {
+                let why = format!("material {} of {material_count}", part.material);
+                return Err(LodError::Invalid { name: "material_ids", why });
+            }
+        }
+        if next as usize != self.triangles.len() {
+            let why = format!("parts cover {next} of {} triangles", self.triangles.len());
+            return Err(LodError::Invalid { name: "material_ids", why });
+        }
+        Ok(())
+    }
+
+    /// Consecutive parts from one material id a triangle.
+    pub fn parts_from_ids(material_ids: &[u32]) -> Vec<Part> {
+        let mut parts: Vec<Part> = Vec::new();
+        for (triangle, &material) in (0_u32..).zip(material_ids) {
+            match parts.last_mut() {
+                Some(part) if part.material == material => part.triangles.end = triangle + 1,
+                _ => parts.push(Part { material, triangles: triangle..triangle + 1 }),
+            }
+        }
+        parts
+    }
+}
+
+/// Area of a triangle, in f64 so that sums over a crown stay exact enough.
+pub fn triangle_area([a, b, c]: [Vec3; 3]) -> f64 {
+    area_normal([a, b, c]).length()
+}
+
+/// Half the cross product of two edges: the normal, as long as the area is large.
+pub fn area_normal([a, b, c]: [Vec3; 3]) -> DVec3 {
+    let a = a.as_dvec3();
+    (b.as_dvec3() - a).cross(c.as_dvec3() - a) * 0.5
+}

@@ -1,0 +1,12 @@
+//! What a plant is: wood and foliage with materials, lit once.
+
+pub mod foliage;
+pub mod lighting;
+pub mod mesh;
+#[expect(clippy::module_inception, reason = "the file is named for the type it holds")]
+pub mod plant;
+
+pub use foliage::Foliage;
+pub use lighting::Lighting;
+pub use mesh::{Mesh, Part};
+pub use plant::{AlphaMode, Material, Plant};
