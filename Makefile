@@ -1,0 +1,72 @@
+# Every command of the project, by one name. Hooks and CI call these same targets.
+#
+#   make setup   everything a developer needs, the extension included
+#   make lint    what a change must pass besides its tests
+#   make test    all tests, the Rust ones included
+
+MATURIN := uvx --from 'maturin>=1.9.4,<2'
+# zig links against an old glibc, which the compiler of a new system does not.
+MATURIN_ZIG := $(MATURIN:uvx=uvx --with ziglang==0.17.*) maturin
+PYTHON_SOURCES := $(wildcard python tests benches notebooks)
+
+.DEFAULT_GOAL := all
+.PHONY: all setup build fmt lint lint-rust lint-python lint-stubs test bench demo wheel clean help
+
+all: lint test ## lint, then test
+
+help: ## this list
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+# The dependencies alone; the extension is built by what needs it.
+.venv:
+	uv sync --locked --no-install-project
+
+setup: ## install the dependencies and build the extension
+	uv sync --locked
+
+build: | .venv ## optimised extension, put where Python finds it
+	$(MATURIN) maturin develop --release --locked --uv
+
+fmt: | .venv ## format everything, and mend what the linters can mend
+	cargo fmt
+	uv run --no-sync ruff format $(PYTHON_SOURCES)
+	uv run --no-sync ruff check --fix $(PYTHON_SOURCES)
+
+lint: lint-rust lint-python lint-stubs ## all checks that run no test
+
+# Without the `python` feature first: the core must be whole without it.
+lint-rust: | .venv
+	cargo fmt --check
+	cargo clippy --locked --all-targets -- -D warnings
+	uv run --no-sync cargo clippy --locked --all-targets --features python -- -D warnings
+	RUSTDOCFLAGS='-D warnings' cargo doc --locked --no-deps --quiet
+
+lint-python: | .venv
+	uv run --no-sync ruff check $(PYTHON_SOURCES)
+	uv run --no-sync ruff format --check $(PYTHON_SOURCES)
+	uv run --no-sync mypy
+
+# Compares the hand-written stub with the extension, so it needs the extension built.
+lint-stubs:
+	uv run --locked python -m mypy.stubtest treelod._core
+
+test: ## every test but the slow ones
+	uv run --locked pytest
+
+bench: ## kernels and techniques, timed; close other programs first
+	cargo bench --locked
+
+demo: ## grow a tree, measure it, write demo/report.html
+	uv run --locked treelod demo
+
+wheel: ## dist/*.whl for any Linux with glibc 2.28 or later
+	$(MATURIN_ZIG) build --release --locked --zig --compatibility manylinux_2_28 --out dist
+
+# uv takes the extension from its cache while the sources' times are unchanged, even if the file
+# that it once put into python/ is gone. A new time on one of its cache keys makes it build again.
+clean: ## remove what was built
+	cargo clean
+	rm -rf dist demo .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -f python/treelod/_core*.so
+	find python tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	touch pyproject.toml
