@@ -5,7 +5,7 @@
 //! [`LodError::Forked`] instead.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -54,12 +54,11 @@ impl Job {
     }
 }
 
-struct Pools {
-    process_id: u32,
-    by_thread_count: BTreeMap<usize, Arc<ThreadPool>>,
-}
+static POOLS: Mutex<BTreeMap<usize, Arc<ThreadPool>>> = Mutex::new(BTreeMap::new());
 
-static POOLS: Mutex<Option<Pools>> = Mutex::new(None);
+/// Process that made the first pool; 0 before that. Not under the lock, which another thread may
+/// have held at the moment of the fork and which then stays locked in the child.
+static OWNER: AtomicU32 = AtomicU32::new(0);
 
 /// The thread count used where a call states none: `TREELOD_NUM_THREADS`, else all cores.
 ///
@@ -96,14 +95,14 @@ pub fn run<T: Send>(
 }
 
 fn pool(thread_count: usize) -> Result<Arc<ThreadPool>, LodError> {
-    // A panic while the lock was held leaves the map whole, so a poisoned lock is still good.
-    let mut guard = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
     let process_id = std::process::id();
-    let pools = guard.get_or_insert_with(|| Pools { process_id, by_thread_count: BTreeMap::new() });
-    if pools.process_id != process_id {
+    let owner = OWNER.compare_exchange(0, process_id, Ordering::AcqRel, Ordering::Acquire);
+    if owner.is_err_and(|owner| owner != process_id) {
         return Err(LodError::Forked);
     }
-    if let Some(pool) = pools.by_thread_count.get(&thread_count) {
+    // A panic while the lock was held leaves the map whole, so a poisoned lock is still good.
+    let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(pool) = pools.get(&thread_count) {
         return Ok(Arc::clone(pool));
     }
     let built = ThreadPoolBuilder::new()
@@ -114,7 +113,7 @@ fn pool(thread_count: usize) -> Result<Arc<ThreadPool>, LodError> {
         name: "threads",
         why: format!("the system gave no {thread_count} threads: {error}"),
     })?);
-    pools.by_thread_count.insert(thread_count, Arc::clone(&pool));
+    pools.insert(thread_count, Arc::clone(&pool));
     Ok(pool)
 }
 

@@ -14,6 +14,8 @@
 pub mod error;
 pub mod job;
 pub mod plant;
+#[cfg(feature = "python")]
+mod py;
 pub mod texture;
 
 pub use error::LodError;

@@ -3,8 +3,10 @@
 pub mod foliage;
 pub mod lighting;
 pub mod mesh;
+pub mod normals;
 #[expect(clippy::module_inception, reason = "the file is named for the type it holds")]
 pub mod plant;
+pub mod weld;
 
 pub use foliage::Foliage;
 pub use lighting::Lighting;

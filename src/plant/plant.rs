@@ -121,4 +121,17 @@ impl Plant {
         let (low, high) = self.local_bounds();
         (low.as_dvec3() + self.origin, high.as_dvec3() + self.origin)
     }
+
+    /// Centre of the box around the plant, in world coordinates, and the largest distance of a
+    /// vertex that a triangle uses from it.
+    pub fn sphere(&self) -> (DVec3, f64) {
+        let (low, high) = self.local_bounds();
+        let center = (low.as_dvec3() + high.as_dvec3()) * 0.5;
+        let radius_sq = [&self.wood, &self.foliage.mesh]
+            .into_iter()
+            .flat_map(|mesh| mesh.triangles.iter().flatten().map(|&v| mesh.positions[v as usize]))
+            .map(|position| position.as_dvec3().distance_squared(center))
+            .fold(0.0, f64::max);
+        (center + self.origin, radius_sq.sqrt())
+    }
 }

@@ -16,11 +16,7 @@ pub static LINEAR_FROM_SRGB8: LazyLock<[f32; 256]> = LazyLock::new(|| {
 
 /// Linear value in [0, 1] of an sRGB value in [0, 1].
 pub fn linear_from_srgb(encoded: f64) -> f64 {
-    if encoded <= 0.04045 {
-        encoded / 12.92
-    } else {
-        libm::pow((encoded + 0.055) / 1.055, 2.4)
-    }
+    if encoded <= 0.04045 { encoded / 12.92 } else { libm::pow((encoded + 0.055) / 1.055, 2.4) }
 }
 
 /// sRGB value in [0, 1] of a linear value in [0, 1].

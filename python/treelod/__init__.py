@@ -1,0 +1,67 @@
+"""
+Level of detail of trees and foliage: every technique built, drawn and measured.
+
+For this plant, seen like this: which technique, with which parameters, costs how much and looks how
+wrong?
+"""
+
+import importlib
+import warnings
+from typing import TYPE_CHECKING, Any
+
+from treelod import _core
+from treelod._core import __version__
+from treelod.cameras import Camera, orbit
+from treelod.errors import (
+    DeviceError,
+    ForkedError,
+    InternalError,
+    LimitError,
+    NoAdapterError,
+    PlantFileError,
+    StoreError,
+    TreelodError,
+)
+from treelod.plants import Foliage, Lighting, Material, Mesh, Plant
+
+if TYPE_CHECKING:
+    from treelod import metrics
+
+__all__ = [
+    "Camera",
+    "DeviceError",
+    "Foliage",
+    "ForkedError",
+    "InternalError",
+    "Lighting",
+    "LimitError",
+    "Material",
+    "Mesh",
+    "NoAdapterError",
+    "Plant",
+    "PlantFileError",
+    "StoreError",
+    "TreelodError",
+    "__version__",
+    "metrics",
+    "orbit",
+]
+
+_HEAVY = {"metrics"}
+"""Modules that import large libraries: imported at their first use, `tl.metrics` included."""
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HEAVY:
+        return importlib.import_module(f"treelod.{name}")
+    msg = f"module 'treelod' has no attribute {name!r}"
+    raise AttributeError(msg)
+
+
+if _core.build_profile != "release":
+    warnings.warn(
+        "treelod was built without optimisation: its timings say nothing "
+        "(`make build` makes a release build)",
+        RuntimeWarning,
+        stacklevel=2,
+    )

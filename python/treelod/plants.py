@@ -1,0 +1,418 @@
+"""
+What a plant is to a Python program: wood, foliage and materials, lit once.
+
+The arrays live in the Rust core. Each array that is read here is copied out once, kept, and marked
+read-only: a plant never changes, and everything built from it relies on that.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Literal, TypeVar, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from treelod import _core
+
+__all__ = ["Foliage", "Lighting", "Material", "Mesh", "Plant"]
+
+Vec3 = tuple[float, float, float]
+Wrap = Literal["repeat", "mirror", "clamp"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lighting:
+    """
+    A sun, a sky above and a ground below, which light a plant once and for all.
+
+    Colours are linear RGB of at least 0. If a white leaf that faces the sun would be brighter than
+    1, everything is scaled down until it is 1.
+
+    Parameters
+    ----------
+    sun_direction : tuple of 3 floats
+        Points to the sun; any length above 0.
+    sun : tuple of 3 floats
+        Irradiance of a surface that faces the sun.
+    sky : tuple of 3 floats
+        Irradiance of a surface that faces up, without the sun.
+    ground : tuple of 3 floats
+        Irradiance of a surface that faces down.
+    translucency : float
+        Share of the light that goes through a leaf, in [0, 1]. Wood lets none through.
+    """
+
+    sun_direction: Vec3 = (0.45, 0.77, 0.45)
+    sun: Vec3 = (1.0, 0.95, 0.85)
+    sky: Vec3 = (0.32, 0.38, 0.48)
+    ground: Vec3 = (0.12, 0.11, 0.09)
+    translucency: float = 0.25
+
+    def _facts(self) -> "_core._LightingFacts":
+        return cast("_core._LightingFacts", asdict(self))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Material:
+    """
+    How the triangles of one material are coloured.
+
+    Parameters
+    ----------
+    name : str
+        As in the file.
+    texture : ndarray of shape (H, W, 4), dtype uint8, optional
+        sRGB with straight alpha, row 0 on top; multiplies the vertex colour. At most 16384 a side
+        and 2**26 texels.
+    wrap : pair of {'repeat', 'mirror', 'clamp'}
+        What texture coordinates outside [0, 1] read, for u and v.
+    alpha_mode : {'opaque', 'mask', 'blend'}
+        What alpha means.
+    alpha_cutoff : float
+        With 'mask', drawn where alpha is at least this.
+    double_sided : bool
+        As in the file; both sides are always drawn.
+    """
+
+    name: str
+    texture: NDArray[np.uint8] | None = field(default=None, repr=False)
+    wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
+    alpha_mode: Literal["opaque", "mask", "blend"] = "opaque"
+    alpha_cutoff: float = 0.5
+    double_sided: bool = True
+
+    def _facts(self) -> "_core._MaterialFacts":
+        texture = None if self.texture is None else np.ascontiguousarray(self.texture)
+        return {
+            "name": self.name,
+            "texture": texture,
+            "wrap": self.wrap,
+            "alpha_mode": self.alpha_mode,
+            "alpha_cutoff": self.alpha_cutoff,
+            "double_sided": self.double_sided,
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Mesh:
+    """
+    Triangles with everything that drawing them needs; all arrays are read-only.
+
+    Attributes
+    ----------
+    positions : ndarray of shape (V, 3), dtype float32
+        Metres, relative to `Plant.origin`.
+    normals : ndarray of shape (V, 3), dtype float32
+        Unit length, or zero where none is known.
+    uvs : ndarray of shape (V, 2), dtype float32
+        Texture coordinates, v = 0 on the texture's top row.
+    base : ndarray of shape (V, 4), dtype float32
+        Linear base colour with straight alpha, without the texture.
+    front, back : ndarray of shape (V, 3), dtype float32
+        Lit linear colour of the side whose corners run counter-clockwise, and of the other.
+    triangles : ndarray of shape (T, 3), dtype uint32
+        Corner indices.
+    material_ids : ndarray of shape (T,), dtype uint32
+        Indices into `Plant.materials`.
+    """
+
+    positions: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    uvs: NDArray[np.float32]
+    base: NDArray[np.float32]
+    front: NDArray[np.float32]
+    back: NDArray[np.float32]
+    triangles: NDArray[np.uint32]
+    material_ids: NDArray[np.uint32]
+
+    def __repr__(self) -> str:
+        return f"Mesh({len(self.positions)} vertices, {len(self.triangles)} triangles)"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Foliage:
+    """
+    The leaves: a mesh in which leaf ``i`` is triangles ``leaf_offsets[i]:leaf_offsets[i + 1]``.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Per-vertex arrays, the lit colours and per-vertex normals among them.
+    leaf_offsets : ndarray of shape (L + 1,), dtype uint32
+        Rises from 0 to the triangle count.
+    centers : ndarray of shape (L, 3), dtype float32
+        Area-weighted centroids, in metres relative to `Plant.origin`.
+    normals : ndarray of shape (L, 3), dtype float32
+        Unit length, or zero for a leaf without area. Triangles on the far side count with the sign
+        of the leaf's largest triangle.
+    areas : ndarray of shape (L,), dtype float32
+        Square metres.
+    """
+
+    mesh: Mesh
+    leaf_offsets: NDArray[np.uint32]
+    centers: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    areas: NDArray[np.float32]
+
+    @property
+    def leaf_count(self) -> int:
+        """How many leaves there are."""
+        return len(self.areas)
+
+    @property
+    def positions(self) -> NDArray[np.float32]:
+        """``mesh.positions``: metres relative to `Plant.origin`, shape (V, 3)."""
+        return self.mesh.positions
+
+    @property
+    def triangles(self) -> NDArray[np.uint32]:
+        """``mesh.triangles``: corner indices, shape (T, 3)."""
+        return self.mesh.triangles
+
+    def __repr__(self) -> str:
+        return f"Foliage({self.leaf_count} leaves, {len(self.triangles)} triangles)"
+
+
+class Plant:
+    """
+    A plant: wood and foliage, lit once. Made by the loaders or by `from_arrays`; never changes.
+
+    Coordinates are metres, right-handed, y up. Positions are stored relative to `origin`, which is
+    (0, 0, 0) unless the plant stands so far away that 32-bit floats would lose its detail.
+    """
+
+    def __init__(self, core: _core.Plant) -> None:
+        self._core = core
+
+    @classmethod
+    def from_arrays(
+        cls,
+        *,
+        wood: Mapping[str, ArrayLike] | None = None,
+        foliage: Mapping[str, ArrayLike] | None = None,
+        leaf_offsets: ArrayLike | None = None,
+        materials: Sequence[Material] | None = None,
+        name: str = "plant",
+        origin: Vec3 = (0.0, 0.0, 0.0),
+        lighting: Lighting | None = None,
+    ) -> "Plant":
+        """
+        Make a plant from meshes that are already told apart.
+
+        Parameters
+        ----------
+        wood, foliage : mapping of str to array_like, optional
+            The arrays of a mesh: ``positions`` (V, 3) in metres relative to `origin` and
+            ``triangles`` (T, 3); if wanted also ``normals`` (V, 3; default: smooth, weighted by
+            area), ``uvs`` (V, 2; default 0), ``colors`` (V, 4) or (V, 3), linear with straight
+            alpha (default white), ``material_ids`` (T,; default 0).
+        leaf_offsets : array_like of shape (L + 1,), optional
+            Leaf ``i`` is triangles ``leaf_offsets[i]:leaf_offsets[i + 1]``: rises from 0 to the
+            triangle count. Required with `foliage`.
+        materials : sequence of Material, optional
+            Default: one opaque white one.
+        name : str
+            For tables and file names.
+        origin : tuple of 3 floats
+            World position that the positions are relative to.
+        lighting : Lighting, optional
+            Default: ``Lighting()``.
+
+        Returns
+        -------
+        Plant
+
+        Raises
+        ------
+        ValueError
+            If there is no triangle, or an array has another shape than stated, holds NaN or
+            infinity, or an index out of range; the message names the array.
+
+        Examples
+        --------
+        >>> square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+        >>> quad = {"positions": square, "triangles": [[0, 1, 2], [0, 2, 3]]}
+        >>> plant = Plant.from_arrays(foliage=quad, leaf_offsets=[0, 2])
+        >>> plant.foliage.areas.tolist(), plant.foliage.normals.tolist()
+        ([1.0], [[0.0, 0.0, 1.0]])
+        """
+        if foliage is not None and leaf_offsets is None:
+            msg = "leaf_offsets is required with foliage"
+            raise ValueError(msg)
+        if foliage is None and leaf_offsets is not None:
+            msg = "leaf_offsets without foliage"
+            raise ValueError(msg)
+        offsets = np.asarray([0] if leaf_offsets is None else leaf_offsets)
+        core = _core.Plant(
+            name,
+            origin,
+            [material._facts() for material in materials or [Material(name="default")]],
+            _mesh_arrays("wood", wood),
+            _mesh_arrays("foliage", foliage),
+            _as_indices("leaf_offsets", offsets, 1),
+            (lighting or Lighting())._facts(),
+        )
+        return cls(core)
+
+    @property
+    def name(self) -> str:
+        """For tables and file names."""
+        return self._core.name
+
+    @property
+    def triangle_count(self) -> int:
+        """Triangles of wood and foliage together."""
+        return self._core.triangle_count
+
+    @cached_property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lowest and highest corner of the box around the plant, world metres, shape (2, 3)."""
+        return _frozen(np.array(self._core.bounds))
+
+    @cached_property
+    def origin(self) -> NDArray[np.float64]:
+        """World position that all positions are relative to, shape (3,)."""
+        return _frozen(np.array(self._core.origin))
+
+    @cached_property
+    def sphere(self) -> tuple[NDArray[np.float64], float]:
+        """Centre of the box (world, shape (3,)) and largest distance of the plant from it."""
+        center, radius = self._core.sphere
+        return _frozen(np.array(center)), radius
+
+    @cached_property
+    def wood(self) -> Mesh:
+        """Trunk and limbs; may have no triangle."""
+        return _mesh(self._core.wood)
+
+    @cached_property
+    def foliage(self) -> Foliage:
+        """The leaves; there may be none."""
+        offsets, centers, normals, areas = self._core.leaves
+        return Foliage(
+            mesh=_mesh(self._core.foliage),
+            leaf_offsets=_frozen(offsets),
+            centers=_frozen(centers),
+            normals=_frozen(normals),
+            areas=_frozen(areas),
+        )
+
+    @cached_property
+    def materials(self) -> tuple[Material, ...]:
+        """Shared by wood and foliage; ``material_ids`` index it."""
+        materials = []
+        for facts in self._core.materials:
+            texture = facts["texture"]
+            frozen = None if texture is None else _frozen(texture)
+            materials.append(Material(**{**facts, "texture": frozen}))  # type: ignore[arg-type]
+        return tuple(materials)
+
+    @cached_property
+    def lighting(self) -> Lighting:
+        """What the front and back colours were computed from."""
+        facts = self._core.lighting
+        return Lighting(
+            sun_direction=_vec3(facts["sun_direction"]),
+            sun=_vec3(facts["sun"]),
+            sky=_vec3(facts["sky"]),
+            ground=_vec3(facts["ground"]),
+            translucency=facts["translucency"],
+        )
+
+    def lit(self, lighting: Lighting) -> "Plant":
+        """
+        Give the same plant under other light.
+
+        Parameters
+        ----------
+        lighting : Lighting
+            Replaces the light that the plant has.
+
+        Returns
+        -------
+        Plant
+            A new plant; this one stays as it is.
+
+        Raises
+        ------
+        ValueError
+            If a colour is negative or not finite, the sun's direction is zero, or the translucency
+            lies outside [0, 1].
+        """
+        return Plant(self._core.lit(lighting._facts()))
+
+    def __repr__(self) -> str:
+        return f"<Plant {self.name!r}: {self.triangle_count} triangles>"
+
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+def _frozen(array: NDArray[Scalar]) -> NDArray[Scalar]:
+    array.flags.writeable = False
+    return array
+
+
+def _vec3(values: Sequence[float]) -> Vec3:
+    x, y, z = values
+    return (x, y, z)
+
+
+def _mesh(arrays: "_core._LitMeshArrays") -> Mesh:
+    return Mesh(**{name: _frozen(array) for name, array in arrays.items()})  # type: ignore[arg-type]
+
+
+def _as_floats(name: str, array: ArrayLike, width: int) -> NDArray[np.float32]:
+    floats = np.ascontiguousarray(array, dtype=np.float32)
+    if floats.ndim != 2 or floats.shape[1] != width:
+        msg = f"{name} must have shape (N, {width}), got {floats.shape}"
+        raise ValueError(msg)
+    return floats
+
+
+def _as_indices(name: str, array: ArrayLike, ndim: int) -> NDArray[np.uint32]:
+    values = np.asarray(array)
+    if values.ndim != ndim or (ndim == 2 and values.shape[1] != 3):
+        shape = "(N, 3)" if ndim == 2 else "(N,)"
+        msg = f"{name} must have shape {shape}, got {values.shape}"
+        raise ValueError(msg)
+    if values.size and not np.issubdtype(values.dtype, np.integer):
+        msg = f"{name} must be integers, got {values.dtype}"
+        raise ValueError(msg)
+    if values.size and (values.min() < 0 or values.max() >= 2**32):
+        msg = f"{name} must be in [0, 2**32), got {values.min()} to {values.max()}"
+        raise ValueError(msg)
+    return np.ascontiguousarray(values, dtype=np.uint32)
+
+
+_MESH_KEYS = {"positions", "triangles", "normals", "uvs", "colors", "material_ids"}
+
+
+def _mesh_arrays(part: str, mesh: Mapping[str, ArrayLike] | None) -> "_core._MeshArrays":
+    if mesh is None:
+        mesh = {"positions": np.empty((0, 3)), "triangles": np.empty((0, 3), np.uint32)}
+    unknown = sorted(set(mesh) - _MESH_KEYS)
+    missing = sorted({"positions", "triangles"} - set(mesh))
+    if unknown or missing:
+        msg = f"{part}: unknown arrays {unknown}, missing arrays {missing}"
+        raise ValueError(msg)
+    positions = _as_floats(f"{part} positions", mesh["positions"], 3)
+    triangles = _as_indices(f"{part} triangles", mesh["triangles"], 2)
+    colors = np.asarray(mesh.get("colors", np.ones((len(positions), 4))), dtype=np.float32)
+    if colors.ndim == 2 and colors.shape[1] == 3:
+        colors = np.column_stack([colors, np.ones(len(colors), np.float32)])
+    normals = mesh.get("normals")
+    return {
+        "positions": positions,
+        "normals": _core.smooth_normals(positions, triangles)
+        if normals is None
+        else _as_floats(f"{part} normals", normals, 3),
+        "uvs": _as_floats(f"{part} uvs", mesh.get("uvs", np.zeros((len(positions), 2))), 2),
+        "colors": _as_floats(f"{part} colors", colors, 4),
+        "triangles": triangles,
+        "material_ids": _as_indices(
+            f"{part} material_ids", mesh.get("material_ids", np.zeros(len(triangles), np.uint32)), 1
+        ),
+    }

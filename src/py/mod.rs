@@ -1,0 +1,72 @@
+//! The Python extension `treelod._core`: glue only, one file per file of the core.
+//!
+//! Glue checks shapes, borrows slices, calls a kernel through [`run::run`] and hands arrays back.
+//! It holds no algorithm. What the core refuses reaches Python as an exception of
+//! `python/treelod/errors.py`, by the one conversion below.
+
+mod arrays;
+mod plant;
+mod run;
+
+use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
+use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
+use pyo3::types::PyType;
+
+use crate::error::LodError;
+
+static LIMIT_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
+static FORKED_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
+static INTERNAL_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
+
+/// An instance of a class of `treelod.errors`, which is imported once.
+fn package_error(
+    class: &'static PyOnceLock<Py<PyType>>,
+    name: &'static str,
+    message: String,
+) -> PyErr {
+    Python::attach(|py| match class.import(py, "treelod.errors", name) {
+        Ok(class) => PyErr::from_type(class.clone(), message),
+        // a broken installation: better that error than none
+        Err(error) => error,
+    })
+}
+
+fn internal_error(message: String) -> PyErr {
+    package_error(&INTERNAL_ERROR, "InternalError", message)
+}
+
+impl From<LodError> for PyErr {
+    fn from(error: LodError) -> Self {
+        let message = error.to_string();
+        match error {
+            LodError::OutOfRange { .. }
+            | LodError::NotFinite { .. }
+            | LodError::Empty { .. }
+            | LodError::Invalid { .. } => PyValueError::new_err(message),
+            LodError::Limit { .. } => package_error(&LIMIT_ERROR, "LimitError", message),
+            LodError::Forked => package_error(&FORKED_ERROR, "ForkedError", message),
+            // `run` prefers the exception of whoever cancelled; this one is for the case of none
+            LodError::Cancelled => PyKeyboardInterrupt::new_err(message),
+        }
+    }
+}
+
+/// The compiled part of treelod. Its face is the `treelod` package.
+#[pymodule]
+mod _core {
+    #[pymodule_export]
+    use super::plant::{Plant, smooth_normals};
+    #[pymodule_export]
+    use super::run::{_panic_for_test, _spin_for_test};
+
+    /// As in `Cargo.toml`, the one place that states it.
+    #[pymodule_export]
+    #[expect(non_upper_case_globals, reason = "an attribute of a Python module")]
+    const __version__: &str = env!("CARGO_PKG_VERSION");
+
+    /// Timings of a "debug" build say nothing.
+    #[pymodule_export]
+    #[expect(non_upper_case_globals, reason = "an attribute of a Python module")]
+    const build_profile: &str = if cfg!(debug_assertions) { "debug" } else { "release" };
+}
