@@ -11,11 +11,14 @@
 //! The core opens no file and knows no Python; the Python face is behind the `python` feature.
 //! Right-handed, y up, metres; cameras look along -z; row 0 is on top; colours are linear.
 
+pub mod draw_list;
 pub mod error;
 pub mod job;
 pub mod plant;
 #[cfg(feature = "python")]
 mod py;
+pub mod raster;
 pub mod texture;
+pub mod view;
 
 pub use error::LodError;

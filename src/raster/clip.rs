@@ -1,0 +1,168 @@
+//! Clipping in f64, for the few shapes that reach behind the eye or far outside the picture.
+//!
+//! A cut is computed from an edge's inner to its outer end, so two triangles that share an edge get
+//! the same new corner and stay watertight.
+//!
+//! This work is based on:
+//! Ivan Sutherland, Gary Hodgman. Reentrant polygon clipping. 1974
+
+use glam::{DVec3, DVec4};
+
+/// From local coordinates to the picture, before the division by depth.
+#[derive(Clone, Debug)]
+pub(crate) struct ClipSpace {
+    pub(crate) rows: [DVec3; 3],
+    pub(crate) offset: DVec3,
+    pub(crate) center: [f64; 2],
+    pub(crate) near: f64,
+    pub(crate) perspective: bool,
+}
+
+impl ClipSpace {
+    /// x, y in pixels from the picture's centre (times depth in perspective), and depth.
+    fn transform(&self, local: DVec3) -> DVec3 {
+        DVec3::from_array(self.rows.map(|row| row.dot(local))) + self.offset
+    }
+
+    /// Pixel x, y and depth key of a transformed point.
+    fn project(&self, p: DVec3) -> [f32; 3] {
+        let (scale, key) = if self.perspective { (1.0 / p.z, 1.0 / p.z) } else { (1.0, -p.z) };
+        #[expect(clippy::cast_possible_truncation, reason = "pixels and keys are stored in f32")]
+        let point = [
+            (p.x * scale + self.center[0]) as f32,
+            (p.y * scale + self.center[1]) as f32,
+            key as f32,
+        ];
+        point
+    }
+
+    /// Both ends of a line as (x, y, key), cut at the near plane; `None` if it lies behind.
+    pub(crate) fn line(&self, ends: [DVec3; 2]) -> Option<[[f32; 3]; 2]> {
+        let [a, b] = ends.map(|p| self.transform(p));
+        if !self.perspective || (a.z >= self.near && b.z >= self.near) {
+            return Some([self.project(a), self.project(b)]);
+        }
+        if a.z < self.near && b.z < self.near {
+            return None;
+        }
+        let cut = a + (b - a) * ((self.near - a.z) / (b.z - a.z));
+        let cut = DVec3::new(cut.x, cut.y, self.near);
+        let (a, b) = if a.z < self.near { (cut, b) } else { (a, cut) };
+        Some([self.project(a), self.project(b)])
+    }
+
+    /// Perspective-correct weights of a triangle's corners at a pixel, clamped to the triangle.
+    ///
+    /// Works for corners behind the eye: the weights solve `sum w_i corner_i = s (x, y, 1)`.
+    pub(crate) fn weights(&self, corners: [DVec3; 3], pixel: [f64; 2]) -> [f32; 3] {
+        let [a, b, c] = corners.map(|p| self.transform(p));
+        let at = [pixel[0] - self.center[0], pixel[1] - self.center[1]];
+        let raw = if self.perspective {
+            let ray = DVec3::new(at[0], at[1], 1.0);
+            [ray.dot(b.cross(c)), ray.dot(c.cross(a)), ray.dot(a.cross(b))]
+        } else {
+            let area = |p: [f64; 2], q: [f64; 2], r: [f64; 2]| {
+                (q[0] - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (q[1] - p[1])
+            };
+            let [a, b, c] = [a, b, c].map(|p| [p.x, p.y]);
+            [area(at, b, c), area(a, at, c), area(a, b, at)]
+        };
+        let sign = if raw.iter().sum::<f64>() < 0.0 { -1.0 } else { 1.0 };
+        let positive = raw.map(|w| (w * sign).max(0.0));
+        let total: f64 = positive.iter().sum();
+        if !(total > 0.0 && total.is_finite()) {
+            return [1.0 / 3.0; 3];
+        }
+        #[expect(clippy::cast_possible_truncation, reason = "weights in [0, 1]")]
+        let weights = positive.map(|w| (w / total) as f32);
+        weights
+    }
+}
+
+/// Corners (x, y, key) of the part of a triangle that is in front and within `guard` pixels.
+pub(crate) fn clip_polygon(space: &ClipSpace, local: [DVec3; 3], guard: f64) -> Vec<[f32; 3]> {
+    let mut polygon: Vec<DVec3> = local.iter().map(|&p| space.transform(p)).collect();
+    // planes as (normal, offset): inside where normal.p + offset >= 0
+    let mut planes = Vec::new();
+    if space.perspective {
+        planes.push(DVec4::new(0.0, 0.0, 1.0, -space.near));
+    }
+    // half the guard, so that rounding and the picture's centre stay within it
+    let limit = guard * 0.5;
+    for (x, y) in [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)] {
+        planes.push(if space.perspective {
+            DVec4::new(x, y, limit, 0.0)
+        } else {
+            DVec4::new(x, y, 0.0, limit)
+        });
+    }
+    for plane in planes {
+        let distance = |p: DVec3| plane.truncate().dot(p) + plane.w;
+        let mut kept = Vec::with_capacity(polygon.len() + 1);
+        for (i, &p) in polygon.iter().enumerate() {
+            let q = polygon[(i + 1) % polygon.len()];
+            let (at_p, at_q) = (distance(p), distance(q));
+            if at_p >= 0.0 {
+                kept.push(p);
+            }
+            if (at_p >= 0.0) != (at_q >= 0.0) {
+                let (inner, outer, from, to) =
+                    if at_p >= 0.0 { (p, q, at_p, at_q) } else { (q, p, at_q, at_p) };
+                kept.push(inner + (outer - inner) * (from / (from - to)));
+            }
+        }
+        polygon = kept;
+        if polygon.len() < 3 {
+            return Vec::new();
+        }
+    }
+    polygon.into_iter().map(|p| space.project(p)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn space() -> ClipSpace {
+        ClipSpace {
+            rows: [DVec3::X, DVec3::Y, DVec3::Z],
+            offset: DVec3::ZERO,
+            center: [0.0, 0.0],
+            near: 1.0,
+            perspective: true,
+        }
+    }
+
+    #[test]
+    fn a_corner_behind_the_near_plane_is_cut_off() {
+        //  depth 2 ---- 2      the cut at depth 1 is half way to the corner at depth 0
+        //         \    /
+        //           0
+        let corners =
+            [DVec3::new(-2.0, 0.0, 2.0), DVec3::new(2.0, 0.0, 2.0), DVec3::new(0.0, 2.0, 0.0)];
+        let polygon = clip_polygon(&space(), corners, 1e6);
+        let expected = [[-1.0, 0.0, 0.5], [1.0, 0.0, 0.5], [1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]];
+        assert_eq!(polygon, expected, "a quad");
+        let behind = corners.map(|p| p - DVec3::Z * 2.0);
+        assert!(clip_polygon(&space(), behind, 1e6).is_empty(), "all behind");
+    }
+
+    #[test]
+    fn weights_see_through_the_eye() {
+        let corners =
+            [DVec3::new(0.0, 0.0, 4.0), DVec3::new(4.0, 0.0, 4.0), DVec3::new(0.0, 4.0, -4.0)];
+        let weights = space().weights(corners, [0.5, 0.0]);
+        assert_eq!(weights, [0.5, 0.5, 0.0], "half way along the edge in front");
+        // three quarters of the first corner and one of the third make (0, 1, 2): pixel (0, 0.5)
+        let weights = space().weights(corners, [0.0, 0.5]);
+        assert_eq!(weights, [0.75, 0.0, 0.25], "between a corner in front and one behind");
+    }
+
+    #[test]
+    fn lines_are_cut_at_the_near_plane() {
+        let ends = [DVec3::new(0.0, 0.0, 2.0), DVec3::new(2.0, 0.0, 0.0)];
+        let cut = space().line(ends).expect("half of it is in front");
+        assert_eq!(cut, [[0.0, 0.0, 0.5], [1.0, 0.0, 1.0]], "cut half way");
+        assert!(space().line(ends.map(|p| p - DVec3::Z * 2.0)).is_none(), "behind");
+    }
+}

@@ -1,0 +1,129 @@
+//! The renderer's slow twin: every sample asks every shape. The tests' reference, and a benchmark row.
+//!
+//! It shares set-up and shading with the renderer and nothing else: no tiles, no visibility buffer,
+//! no incremental edges, one thread.
+
+use glam::{Vec2, Vec4};
+
+use crate::draw_list::{Blend, DrawList};
+use crate::error::LodError;
+use crate::raster::frame::{EMPTY_ID, Frame};
+use crate::raster::samples::{self, SUBPIXEL_COUNT};
+use crate::raster::setup::{Grid, Shape, Unit, cut, flags};
+use crate::raster::shade::{Material, Weigher};
+use crate::view::View;
+
+/// Draws colour, depth and ids, shading every sample by itself.
+///
+/// # Errors
+/// As the renderer.
+pub fn draw_naive(list: &DrawList, view: &View, sample_count: u32) -> Result<Frame, LodError> {
+    list.check()?;
+    let positions = samples::positions(sample_count)?;
+    let side = i32::try_from(view.width.max(view.height)).expect("at most 16384");
+    let grid = Grid::new(view, side, 0..1, &positions);
+    let units: Vec<Unit> = cut(list)
+        .iter()
+        .map(|segments| {
+            let mut unit = Unit::default();
+            unit.build(list, view, &grid, segments);
+            unit
+        })
+        .collect();
+    let (width, height) = (view.width as usize, view.height as usize);
+    let mut frame = Frame { width, height, ..Frame::default() };
+    for y in 0..i32::try_from(height).expect("at most 16384") {
+        for x in 0..i32::try_from(width).expect("at most 16384") {
+            let mut sum = Vec4::ZERO;
+            let (mut depth, mut id) = (f32::INFINITY, EMPTY_ID);
+            for &[sx, sy] in &positions {
+                let at = [x * SUBPIXEL_COUNT + sx, y * SUBPIXEL_COUNT + sy];
+                let (color, sample_depth, sample_id) = sample(list, view, &units, at);
+                sum += color;
+                if sample_depth < depth {
+                    (depth, id) = (sample_depth, sample_id);
+                }
+            }
+            frame.color.push(sum * (1.0 / sample_count as f32));
+            frame.depth.push(depth);
+            frame.ids.push(id);
+        }
+    }
+    Ok(frame)
+}
+
+/// Colour, depth and id at a point in sub-pixel steps.
+fn sample(list: &DrawList, view: &View, units: &[Unit], at: [i32; 2]) -> (Vec4, f32, u32) {
+    let point = Vec2::new(at[0] as f32, at[1] as f32) * (1.0 / SUBPIXEL_COUNT as f32);
+    let center = point.floor() + 0.5;
+    let mut color = Vec4::ZERO;
+    let mut nearest = f32::NEG_INFINITY;
+    let mut id = EMPTY_ID;
+    // (key, alpha, id) of blended shapes, in paint order
+    let mut blended: Vec<(f32, f32, u32)> = Vec::new();
+    for unit in units {
+        for shape in &unit.shapes {
+            if !contains(shape, at) {
+                continue;
+            }
+            let from = point - Vec2::from(shape.origin);
+            let key = shape.key[0] + (shape.key[1] * from.x + shape.key[2] * from.y);
+            let key = key.max(shape.key_range[0]).min(shape.key_range[1]);
+            let depth = -f64::from(key);
+            let in_slab = !view.is_orthographic() || (depth >= view.near && depth < view.far);
+            if key <= nearest || !in_slab {
+                continue;
+            }
+            let material = Material::new(list, unit, shape);
+            let weigher = Weigher::new(view, &material, unit, shape);
+            let lod = material.lod(&weigher, center);
+            let alpha = material.alpha(&weigher, point, lod);
+            let source = material.shade(shape, &weigher, point, lod).color;
+            let hides = match material.item.blend {
+                Blend::Opaque => true,
+                Blend::Test(cutoff) => alpha >= cutoff,
+                Blend::Over => {
+                    color = source + color * (1.0 - source.w);
+                    blended.push((key, alpha.clamp(0.0, 1.0), material.source_id(shape)));
+                    continue;
+                }
+            };
+            if hides {
+                color = source;
+                (nearest, id) = (key, material.source_id(shape));
+            }
+        }
+    }
+    let mut opacity = 0.0_f32;
+    for &(key, alpha, blended_id) in blended.iter().rev() {
+        opacity += (1.0 - opacity) * alpha;
+        if key > nearest && opacity >= 0.5 {
+            (nearest, id) = (key, blended_id);
+            break;
+        }
+    }
+    let depth = if nearest == f32::NEG_INFINITY {
+        f32::INFINITY
+    } else if view.is_orthographic() {
+        -nearest
+    } else {
+        1.0 / nearest
+    };
+    (color, depth, id)
+}
+
+/// Whether a shape covers a point, by the definition of the top-left rule.
+fn contains(shape: &Shape, [x, y]: [i32; 2]) -> bool {
+    if shape.flags & flags::RECT != 0 {
+        return (shape.x[0]..=shape.x[1]).contains(&x) && (shape.y[0]..=shape.y[1]).contains(&y);
+    }
+    (0..3).all(|from| {
+        let to = (from + 1) % 3;
+        let along = (shape.x[to] - shape.x[from], shape.y[to] - shape.y[from]);
+        let across = (x - shape.x[from], y - shape.y[from]);
+        let side =
+            i64::from(along.0) * i64::from(across.1) - i64::from(along.1) * i64::from(across.0);
+        let top_or_left = along.1 < 0 || (along.1 == 0 && along.0 > 0);
+        side > 0 || (side == 0 && top_or_left)
+    })
+}
