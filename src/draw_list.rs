@@ -51,6 +51,18 @@ impl Buffers {
         }
     }
 
+    /// Appends other buffers, whose vertices then start at `first_vertex`.
+    pub fn append(&mut self, other: Self, first_vertex: u32) {
+        self.positions.extend(other.positions);
+        self.normals.extend(other.normals);
+        self.uvs.extend(other.uvs);
+        self.base.extend(other.base);
+        self.front.extend(other.front);
+        self.back.extend(other.back);
+        self.indices.extend(other.indices.into_iter().map(|vertex| vertex + first_vertex));
+        self.source_ids.extend(other.source_ids);
+    }
+
     /// Bytes a renderer must hold to draw these buffers.
     pub fn byte_count(&self) -> u64 {
         let vertex = size_of::<Vec3>() * 4 + size_of::<Vec2>() + size_of::<Vec4>();
@@ -198,6 +210,8 @@ pub struct Item {
     pub blend: Blend,
     /// Whether later fragments behind it are hidden.
     pub depth_write: bool,
+    /// Keeps only fragments at depths from the first to before the second, in metres.
+    pub slab: Option<[f32; 2]>,
 }
 
 /// Buffers of this frame alone, with what changed in them since the frame before.

@@ -11,14 +11,18 @@
 //! The core opens no file and knows no Python; the Python face is behind the `python` feature.
 //! Right-handed, y up, metres; cameras look along -z; row 0 is on top; colours are linear.
 
+pub mod bake;
 pub mod draw_list;
 pub mod error;
 pub mod job;
+pub mod lod;
 pub mod plant;
 #[cfg(feature = "python")]
 mod py;
 pub mod raster;
+pub mod scene;
 pub mod texture;
 pub mod view;
+pub mod view_state;
 
 pub use error::LodError;

@@ -45,8 +45,8 @@ pub struct View {
     pub height: u32,
     /// Nothing nearer than this depth is drawn; above 0.
     pub near: f64,
-    /// Nothing at this depth or beyond is drawn. Infinite for cameras; bakes of a slab set it.
-    pub far: f64,
+    /// Pixels a metre across over pixels a metre up: 1 for cameras, anything for bakes.
+    pub pixel_aspect: f64,
 }
 
 impl View {
@@ -95,7 +95,7 @@ impl View {
             width: size.0,
             height: size.1,
             near,
-            far: f64::INFINITY,
+            pixel_aspect: 1.0,
         })
     }
 
@@ -104,7 +104,7 @@ impl View {
         matches!(self.projection, Projection::Orthographic { .. })
     }
 
-    /// Pixels a metre at depth 1 (perspective) or at any depth (orthographic).
+    /// Vertical pixels a metre at depth 1 (perspective) or at any depth (orthographic).
     pub fn pixels_per_metre_at_one(&self) -> f64 {
         let rows = f64::from(self.height);
         match self.projection {
@@ -133,17 +133,18 @@ impl View {
         }
         let scale = self.pixels_per_metre_at_one() / if self.is_orthographic() { 1.0 } else { p.z };
         let center = DVec2::new(f64::from(self.width), f64::from(self.height)) * 0.5;
-        Some((center + DVec2::new(p.x, -p.y) * scale, p.z))
+        Some((center + DVec2::new(p.x * self.pixel_aspect, -p.y) * scale, p.z))
     }
 
     /// Whether any part of a ball may be seen.
     pub fn sees_ball(&self, center: DVec3, radius: f64) -> bool {
         let p = self.view_from_world(center);
-        if p.z + radius < self.near || p.z - radius >= self.far {
+        if p.z + radius < self.near {
             return false;
         }
         let scale = self.pixels_per_metre_at_one();
-        let half = DVec2::new(f64::from(self.width), f64::from(self.height)) * (0.5 / scale);
+        let sides = DVec2::new(f64::from(self.width) / self.pixel_aspect, f64::from(self.height));
+        let half = sides * (0.5 / scale);
         match self.projection {
             Projection::Orthographic { .. } => {
                 p.x.abs() - radius <= half.x && p.y.abs() - radius <= half.y

@@ -122,6 +122,28 @@ impl Mesh {
         Ok(())
     }
 
+    /// The same triangles with only the vertices they use, in order of first use.
+    #[must_use]
+    pub fn without_unused_vertices(self) -> Self {
+        const UNUSED: u32 = u32::MAX;
+        let mut remap = vec![UNUSED; self.positions.len()];
+        let mut used = Self { triangles: self.triangles, parts: self.parts, ..Self::default() };
+        for vertex in used.triangles.iter_mut().flatten() {
+            let old = *vertex as usize;
+            if remap[old] == UNUSED {
+                remap[old] = u32::try_from(used.positions.len()).expect("fewer than before");
+                used.positions.push(self.positions[old]);
+                used.normals.push(self.normals[old]);
+                used.uvs.push(self.uvs[old]);
+                used.base.push(self.base[old]);
+                used.front.push(self.front[old]);
+                used.back.push(self.back[old]);
+            }
+            *vertex = remap[old];
+        }
+        used
+    }
+
     /// Consecutive parts from one material id a triangle.
     pub fn parts_from_ids(material_ids: &[u32]) -> Vec<Part> {
         let mut parts: Vec<Part> = Vec::new();

@@ -11,6 +11,7 @@ use crate::raster::frame::{EMPTY_ID, Frame};
 use crate::raster::samples::{self, SUBPIXEL_COUNT};
 use crate::raster::setup::{Grid, Shape, Unit, cut, flags};
 use crate::raster::shade::{Material, Weigher};
+use crate::raster::tile::slab_keys;
 use crate::view::View;
 
 /// Draws colour, depth and ids, shading every sample by itself.
@@ -69,12 +70,11 @@ fn sample(list: &DrawList, view: &View, units: &[Unit], at: [i32; 2]) -> (Vec4, 
             let from = point - Vec2::from(shape.origin);
             let key = shape.key[0] + (shape.key[1] * from.x + shape.key[2] * from.y);
             let key = key.max(shape.key_range[0]).min(shape.key_range[1]);
-            let depth = -f64::from(key);
-            let in_slab = !view.is_orthographic() || (depth >= view.near && depth < view.far);
-            if key <= nearest || !in_slab {
+            let material = Material::new(list, unit, shape);
+            let (lowest, highest) = slab_keys(view, material.item.slab);
+            if key <= nearest || key <= lowest || key > highest {
                 continue;
             }
-            let material = Material::new(list, unit, shape);
             let weigher = Weigher::new(view, &material, unit, shape);
             let lod = material.lod(&weigher, center);
             let alpha = material.alpha(&weigher, point, lod);

@@ -189,7 +189,12 @@ impl Placing {
     #[expect(clippy::cast_possible_truncation, reason = "planes and picture sides in f32")]
     pub(crate) fn new(view: &View, linear: Mat3, translation: Vec3) -> Self {
         let scale = view.pixels_per_metre_at_one();
-        let axes = DMat3::from_cols(view.right * scale, -view.up * scale, -view.back).transpose();
+        let axes = DMat3::from_cols(
+            view.right * (scale * view.pixel_aspect),
+            -view.up * scale,
+            -view.back,
+        )
+        .transpose();
         let local = (axes * linear.as_dmat3()).transpose();
         let rows = [local.x_axis, local.y_axis, local.z_axis];
         let offset = axes * translation.as_dvec3();

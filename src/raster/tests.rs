@@ -50,6 +50,7 @@ fn add(list: &mut DrawList, view: &View, primitive: Primitive, data: Buffers, bl
         surface: Surface::VertexColor,
         blend,
         depth_write: blend != Blend::Over,
+        slab: None,
     });
 }
 
@@ -248,15 +249,19 @@ fn a_background_shows_through() {
 }
 
 #[test]
-fn slabs_of_a_parallel_view_take_each_sample_once() {
+fn slabs_take_each_sample_once() {
     // a slanted plane cut at depth 10: together the two slabs are the whole
     let view = pixel_view(32, 32);
     let mut list = DrawList::default();
     let slanted = [[2.0, 3.0, -3.0], [4.0, 30.0, 2.0], [29.0, 11.0, 3.0]];
     add(&mut list, &view, Primitive::Triangles, buffers(&slanted, &[0, 1, 2]), Blend::Opaque);
     let whole = draw(&list, &view, 4);
-    let near = draw(&list, &View { far: 10.0, ..view.clone() }, 4);
-    let far = draw(&list, &View { near: 10.0, ..view }, 4);
+    let mut slab = |range: [f32; 2]| {
+        list.items[0].slab = Some(range);
+        draw(&list, &view, 4)
+    };
+    let near = slab([0.0, 10.0]);
+    let far = slab([10.0, f32::INFINITY]);
     for pixel in 0..whole.color.len() {
         let sum = near.color[pixel] + far.color[pixel];
         assert_eq!(sum, whole.color[pixel], "pixel {pixel}");
@@ -321,6 +326,9 @@ fn soup(seed: u64, view: &View) -> DrawList {
         let blend = [Blend::Opaque, Blend::Test(0.4), Blend::Over][round % 3];
         add(&mut list, view, primitive, data, blend);
         let item = list.items.last_mut().expect("just added");
+        if round % 5 == 0 {
+            item.slab = Some([2.0, 4.0]);
+        }
         if round % 2 == 0 {
             let wrap = [[Wrap::Repeat; 2], [Wrap::Mirror, Wrap::Clamp]][round / 2 % 2];
             item.surface = Surface::Textured {
@@ -351,16 +359,17 @@ fn equals_the_naive_twin() {
                 let naive = draw_naive(&list, &view, sample_count).expect("valid");
                 assert_eq!(fast.ids, naive.ids, "seed {seed}, {sample_count} samples");
                 assert_eq!(fast.depth, naive.depth, "seed {seed}, {sample_count} samples");
-                for (at, (a, b)) in fast.color.iter().zip(&naive.color).enumerate() {
-                    // sums in another order, and untextured triangles at the samples' centroid:
-                    // colour over depth bends inside a pixel only where a triangle is very close
-                    let tolerance = if sample_count == 1 { 0.0 } else { 0.02 };
-                    let error = (*a - *b).abs().max_element();
-                    assert!(
-                        error <= tolerance,
-                        "seed {seed}, {sample_count} samples, pixel {at}: {a} for {b}"
-                    );
-                }
+                // sums in another order, and untextured triangles at the samples' centroid: colour
+                // over depth bends inside a pixel where a triangle is small or very close
+                let (most, mean) = if sample_count == 1 { (0.0, 0.0) } else { (0.1, 2e-4) };
+                let errors: Vec<f32> = fast.color.iter().zip(&naive.color)
+                    .map(|(a, b)| (*a - *b).abs().max_element()).collect();
+                let largest = errors.iter().copied().fold(0.0, f32::max);
+                let average = errors.iter().sum::<f32>() / errors.len() as f32;
+                assert!(
+                    largest <= most && average <= mean,
+                    "seed {seed}, {sample_count} samples: {largest} at most, {average} on average"
+                );
             }
         }
     }
@@ -407,15 +416,15 @@ fn the_same_bytes_on_any_number_of_threads_and_in_batches() {
 fn a_renderer_can_be_used_again() {
     let mut renderer = Renderer::default();
     let settings = Settings { sample_count: 4, outputs: ALL, background: Vec4::ZERO };
-    let [near, far] = soup_views();
+    let [first_view, other_view] = soup_views();
     let mut first = None;
-    for view in [&near, &far, &near] {
+    for view in [&first_view, &other_view, &first_view] {
         let list = soup(5, view);
         let frame = renderer.render(&list, view, &settings, &Job::default()).expect("valid");
         let color = frame.color;
         if first.is_none() {
             first = Some(color);
-        } else if std::ptr::eq(view, &raw const near) {
+        } else if std::ptr::eq(view, &first_view) {
             assert!(first.as_ref() == Some(&color), "the same picture after another one");
         }
     }

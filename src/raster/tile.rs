@@ -119,13 +119,7 @@ impl<const S: usize> Scene<'_, S> {
             x1.min(tile_box[2] - 1),
             y1.min(tile_box[3] - 1),
         ];
-        // a parallel view keeps depths in [near, far); perspective was clipped
-        #[expect(clippy::cast_possible_truncation, reason = "keys are f32")]
-        let (lowest, highest) = if self.view.is_orthographic() {
-            (-self.view.far as f32, -self.view.near as f32)
-        } else {
-            (f32::NEG_INFINITY, f32::INFINITY)
-        };
+        let (lowest, highest) = slab_keys(self.view, material.item.slab);
         let [at_origin, slope_x, slope_y] = shape.key;
         let [farthest, nearest] = shape.key_range;
         let dithered = material.instance.fade != 1.0;
@@ -151,6 +145,19 @@ impl<const S: usize> Scene<'_, S> {
                 visit(&Pixel { x, y, first, mask, keys: &shape_keys }, keys);
             }
         });
+    }
+}
+
+/// Depth keys above the first and up to the second lie in the slab and not nearer than the view allows.
+pub(crate) fn slab_keys(view: &View, slab: Option<[f32; 2]>) -> (f32, f32) {
+    #[expect(clippy::cast_possible_truncation, reason = "keys are f32")]
+    let view_near = view.near as f32;
+    let [near, far] = slab.unwrap_or([view_near, f32::INFINITY]);
+    if view.is_orthographic() {
+        (-far, -near.max(view_near))
+    } else {
+        // the near plane itself was clipped exactly
+        (1.0 / far, if slab.is_some() { 1.0 / near } else { f32::INFINITY })
     }
 }
 

@@ -1,9 +1,11 @@
 //! Textures: stored as 8-bit sRGB with straight alpha, filtered linear and premultiplied.
 
 pub mod dilate;
+pub mod linear;
 pub mod mips;
 pub mod srgb;
 #[expect(clippy::module_inception, reason = "the file is named for the type it holds")]
 pub mod texture;
 
+pub use linear::LinearImage;
 pub use texture::{Filter, Image, Sampler, Texture, Wrap};

@@ -1,0 +1,167 @@
+//! An orthographic picture of chosen primitives as a texture: how every baker makes its cards.
+//!
+//! A bake goes through the same renderer as a frame, so both share one accuracy. It is filtered with
+//! many samples a texel, premultiplied and linear; empty texels take a neighbour's colour; and its
+//! levels keep mean alpha or coverage, by how the card will be drawn.
+
+use std::sync::Arc;
+
+use glam::{DVec3, Vec4};
+
+use crate::draw_list::DrawList;
+use crate::error::{LodError, check_in};
+use crate::job::Job;
+use crate::raster::{Outputs, Renderer, Settings};
+use crate::texture::dilate::dilated;
+use crate::texture::linear::LinearImage;
+use crate::texture::mips::{self, Keep};
+use crate::texture::{Image, Texture};
+use crate::view::{Projection, View};
+
+/// A rectangle in space that a texture covers, seen from `toward`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BakeRect {
+    /// Its middle.
+    pub center: DVec3,
+    /// Unit vector along the texture's rows.
+    pub right: DVec3,
+    /// Unit vector to the texture's top.
+    pub up: DVec3,
+    /// Metres along `right`.
+    pub width: f64,
+    /// Metres along `up`.
+    pub height: f64,
+    /// Everything drawn lies within this distance of the plane.
+    pub reach: f64,
+}
+
+impl BakeRect {
+    /// Unit vector from the plane towards its viewer.
+    pub fn toward(&self) -> DVec3 {
+        self.right.cross(self.up)
+    }
+
+    /// The parallel view that fills a texture of `size` texels with the rectangle.
+    ///
+    /// Depth is [`BakeRect::depth_of`] the signed distance from the plane.
+    ///
+    /// # Errors
+    /// If `size` or the rectangle is out of range.
+    pub fn view(&self, size: (u32, u32)) -> Result<View, LodError> {
+        let distance = self.eye_distance();
+        let eye = self.center + self.toward() * distance;
+        let projection = Projection::Orthographic { height: self.height };
+        let near = distance * 1e-3;
+        let mut view = View::new(eye, self.center, self.up, projection, size, near)?;
+        view.pixel_aspect = (f64::from(size.0) / self.width) / (f64::from(size.1) / self.height);
+        Ok(view)
+    }
+
+    /// Depth in [`BakeRect::view`] of points `offset` metres in front of the plane.
+    pub fn depth_of(&self, offset: f64) -> f64 {
+        self.eye_distance() - offset
+    }
+
+    /// The four corners, counter-clockwise from the texture's lower left.
+    pub fn corners(&self) -> [DVec3; 4] {
+        let (across, along) = (self.right * (self.width * 0.5), self.up * (self.height * 0.5));
+        [
+            self.center - across - along,
+            self.center + across - along,
+            self.center + across + along,
+            self.center - across + along,
+        ]
+    }
+
+    fn eye_distance(&self) -> f64 {
+        2.0 * self.reach.max(self.width).max(self.height)
+    }
+}
+
+/// Draws a list that was emitted for `rect.view(size)` and returns premultiplied linear texels.
+///
+/// # Errors
+/// As the renderer's, `samples` out of range among them.
+pub fn bake(
+    renderer: &mut Renderer,
+    list: &DrawList,
+    view: &View,
+    sample_count: u32,
+    job: &Job,
+) -> Result<LinearImage, LodError> {
+    check_in("samples", sample_count, 1..=crate::raster::samples::MAX_SAMPLE_COUNT)?;
+    let settings = Settings { sample_count, outputs: Outputs::COLOR, background: Vec4::ZERO };
+    let frame = renderer.render(list, view, &settings, job)?;
+    Ok(LinearImage { width: view.width, height: view.height, texels: frame.color })
+}
+
+/// How a bake is stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Format {
+    /// Four bytes a texel.
+    #[default]
+    Rgba8,
+    /// Five bits a colour and one of alpha: two bytes a texel.
+    Rgb5a1,
+}
+
+/// Dilates, encodes and builds the levels of a bake.
+///
+/// # Errors
+/// If the image's size is out of range.
+pub fn finish(image: &LinearImage, keep: Keep, format: Format) -> Result<Arc<Texture>, LodError> {
+    let mut levels = mips::levels(dilated(image), keep);
+    if format == Format::Rgba8 {
+        return Texture::new(levels);
+    }
+    for level in &mut levels {
+        level.texels.iter_mut().for_each(|texel| *texel = rgb5a1(*texel));
+    }
+    let texel_count: u64 = levels.iter().map(|level: &Image| level.texels.len() as u64).sum();
+    Texture::with_byte_count(levels, texel_count * 2)
+}
+
+/// The nearest texel that five bits a colour and one of alpha can hold.
+fn rgb5a1([r, g, b, a]: [u8; 4]) -> [u8; 4] {
+    let five = |code: u8| {
+        let short = (u16::from(code) * 31 + 127) / 255;
+        u8::try_from((short << 3) | (short >> 2)).expect("eight bits")
+    };
+    [five(r), five(g), five(b), if a >= 128 { 255 } else { 0 }]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corners_land_on_the_pictures_corners() {
+        let rect = BakeRect {
+            center: DVec3::new(1.0, 2.0, 3.0),
+            right: DVec3::NEG_Z,
+            up: DVec3::Y,
+            width: 4.0,
+            height: 1.0,
+            reach: 5.0,
+        };
+        assert_eq!(rect.toward(), DVec3::X, "seen from +x");
+        let view = rect.view((8, 16)).expect("valid");
+        let [lower_left, _, upper_right, _] = rect.corners();
+        let (pixel, depth) = view.project(lower_left).expect("parallel");
+        assert!((pixel - glam::DVec2::new(0.0, 16.0)).length() < 1e-12, "{pixel}");
+        assert!((depth - rect.depth_of(0.0)).abs() < 1e-12, "on the plane");
+        let (pixel, _) = view.project(upper_right).expect("parallel");
+        assert!((pixel - glam::DVec2::new(8.0, 0.0)).length() < 1e-12, "{pixel}");
+        let (_, depth) = view.project(rect.center + DVec3::X).expect("parallel");
+        assert!((depth - rect.depth_of(1.0)).abs() < 1e-12, "one metre nearer");
+    }
+
+    #[test]
+    fn short_texels_keep_white_and_black() {
+        assert_eq!(rgb5a1([255, 0, 8, 127]), [255, 0, 8, 0], "one step of 8");
+        assert_eq!(rgb5a1([128, 4, 250, 128]), [132, 0, 247, 255], "the nearest of 32 steps");
+        let image = LinearImage { width: 2, height: 2, texels: vec![Vec4::ONE; 4] };
+        let texture = finish(&image, Keep::MeanAlpha, Format::Rgb5a1).expect("valid");
+        assert_eq!(texture.byte_count(), 5 * 2, "four texels and one");
+    }
+}

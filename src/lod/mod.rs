@@ -1,0 +1,129 @@
+//! Techniques: each file turns a plant into a [`Representation`] and emits draw lists for views.
+//!
+//! No technique knows another, and nothing outside this folder knows any.
+
+pub mod full_mesh;
+pub mod slicings;
+
+pub mod solid;
+pub mod view_blend;
+pub mod wood;
+
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+
+use crate::bake::BakeRect;
+use crate::draw_list::{DrawList, Instance, Item};
+use crate::error::LodError;
+use crate::texture::Texture;
+use crate::view::View;
+use crate::view_state::{Key, ViewState};
+
+/// What a representation holds, whether or not a view needs it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Footprint {
+    /// Triangles of meshes.
+    pub triangle_count: u64,
+    /// Textured quads.
+    pub card_count: u64,
+    /// Lines.
+    pub line_count: u64,
+    /// Points.
+    pub point_count: u64,
+    /// Vertices, indices and side tables.
+    pub geometry_bytes: u64,
+    /// All mip levels, in the format they are stored in.
+    pub texture_bytes: u64,
+}
+
+/// A texture of a representation, for looking at.
+#[derive(Debug, Clone)]
+pub struct NamedTexture {
+    /// What it shows.
+    pub name: String,
+    /// As drawn.
+    pub texture: Arc<Texture>,
+    /// Where in the plant's space it lies, if it is a bake.
+    pub rect: Option<BakeRect>,
+}
+
+/// One placed copy that a view can see.
+#[derive(Debug, Clone)]
+pub struct Crown {
+    /// Where it stands: maps the representation's local space to the world.
+    pub world_from_local: DAffine3,
+    /// Distance of its centre from the eye (perspective) or the picture plane (parallel).
+    pub distance: f64,
+    /// Paint rank among all copies of the scene: 0 is the farthest.
+    pub rank: u32,
+    /// Whose memory it has.
+    pub key: Key,
+}
+
+impl Crown {
+    /// An instance of this copy.
+    pub fn instance(&self, view: &View) -> Instance {
+        Instance::new(&self.world_from_local, view)
+    }
+
+    /// The eye in local coordinates.
+    pub fn local_eye(&self, view: &View) -> DVec3 {
+        self.world_from_local.inverse().transform_point3(view.eye)
+    }
+
+    /// A world direction in local coordinates, unit length.
+    pub fn local_direction(&self, direction: DVec3) -> DVec3 {
+        self.world_from_local.inverse().transform_vector3(direction).normalize()
+    }
+}
+
+/// A draw list in the making: opaque items as they come, blended ones sorted by copy at the end.
+#[derive(Debug, Default)]
+pub struct ListBuilder {
+    /// What has been emitted; add opaque items to `list.items`.
+    pub list: DrawList,
+    blended: Vec<(u32, Item)>,
+}
+
+impl ListBuilder {
+    /// Adds an item that is painted with its copy, far copies before near ones.
+    pub fn push_blended(&mut self, crown: &Crown, item: Item) {
+        self.blended.push((crown.rank, item));
+    }
+
+    /// Opaque items first, then the blended ones, copy by copy.
+    pub fn finish(mut self) -> DrawList {
+        self.blended.sort_by_key(|(rank, _)| *rank);
+        self.list.items.extend(self.blended.into_iter().map(|(_, item)| item));
+        self.list
+    }
+}
+
+/// A plant as one technique stands for it.
+pub trait Representation: Debug + Send + Sync {
+    /// Local-space box around everything it may draw.
+    fn bounds(&self) -> (DVec3, DVec3);
+
+    /// World position of local zero when the plant stands where its file put it.
+    fn origin(&self) -> DVec3;
+
+    /// What it holds.
+    fn footprint(&self) -> Footprint;
+
+    /// Its textures, for looking at.
+    fn textures(&self) -> Vec<NamedTexture>;
+
+    /// Appends what `view` needs of the copies it can see, given far to near.
+    ///
+    /// # Errors
+    /// If the representation was built for other views than this one.
+    fn emit(
+        &self,
+        view: &View,
+        crowns: &[Crown],
+        state: &mut ViewState,
+        builder: &mut ListBuilder,
+    ) -> Result<(), LodError>;
+}
