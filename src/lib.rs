@@ -16,6 +16,7 @@ pub mod job;
 pub mod plant;
 #[cfg(feature = "python")]
 mod py;
+pub mod random;
 pub mod texture;
 
 pub use error::LodError;
