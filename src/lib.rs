@@ -17,12 +17,14 @@ pub mod error;
 pub mod job;
 pub mod lod;
 pub mod plant;
-#[cfg(feature = "python")]
-mod py;
+pub mod random;
 pub mod raster;
 pub mod scene;
 pub mod texture;
 pub mod view;
 pub mod view_state;
+
+#[cfg(feature = "python")]
+mod py;
 
 pub use error::LodError;

@@ -17,7 +17,9 @@ use glam::{DAffine3, DVec2, DVec3, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
 use crate::bake::{BakeRect, Format, bake, finish};
-use crate::draw_list::{Blend, Buffers, DrawList, Geometry, Instance, Item, Primitive, Source, Surface};
+use crate::draw_list::{
+    Blend, Buffers, DrawList, Geometry, Instance, Item, Primitive, Source, Surface,
+};
 use crate::error::{LodError, check_in};
 use crate::job::Job;
 use crate::lod::solid::{Solid, blend_of};
@@ -142,9 +144,7 @@ impl Opacity {
             .iter()
             .map(|&(_, share)| match self {
                 Self::Linear { m } => (share * (1.0 + m * (1.0 - largest))).min(1.0),
-                Self::Optical { tau } if tau > 0.0 => {
-                    libm::expm1(-share * tau) / libm::expm1(-tau)
-                }
+                Self::Optical { tau } if tau > 0.0 => libm::expm1(-share * tau) / libm::expm1(-tau),
                 Self::Optical { .. } => share,
             })
             .collect()
@@ -192,11 +192,8 @@ impl Layout {
 
     /// Offsets between which a slice owns cut leaves; the outermost reach to infinity.
     fn slab(&self, slice: usize) -> (f64, f64) {
-        let low = if slice == 0 {
-            f64::NEG_INFINITY
-        } else {
-            self.offset(slice) - self.spacing / 2.0
-        };
+        let low =
+            if slice == 0 { f64::NEG_INFINITY } else { self.offset(slice) - self.spacing / 2.0 };
         let high = if slice + 1 == self.count {
             f64::INFINITY
         } else {
@@ -262,9 +259,8 @@ impl<'a> Crowned<'a> {
     /// Smallest and largest offset of a leaf's vertices along a direction.
     fn extent(&self, leaf: usize, direction: DVec3) -> (f64, f64) {
         let offsets = self.vertices_of(leaf).map(|p| p.dot(direction));
-        offsets.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| {
-            (low.min(at), high.max(at))
-        })
+        offsets
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)))
     }
 
     /// Whether a leaf is longer than the spacing along a layout's direction.
@@ -605,12 +601,8 @@ impl Slicings {
         let eye = self.center + toward * (4.0 * self.radius);
         let size = (FIT_SIDE, FIT_SIDE);
         let view = View::new(eye, self.center, up, projection, size, self.radius * 1e-3)?;
-        let crown = Crown {
-            world_from_local: DAffine3::IDENTITY,
-            distance: 0.0,
-            rank: 0,
-            key: (0, 0),
-        };
+        let crown =
+            Crown { world_from_local: DAffine3::IDENTITY, distance: 0.0, rank: 0, key: (0, 0) };
         let mut builder = ListBuilder::default();
         self.emit_slices(&view, &crown, &mut builder)?;
         let settings =
@@ -629,8 +621,7 @@ impl Slicings {
             return Err(LodError::Invalid { name: "correction", why });
         }
         let level = directions.iter().all(|d| d.y.abs() < 1e-9);
-        let around: Vec<DVec3> =
-            if level { circle(FIT_AZIMUTHS) } else { sphere(FIT_AZIMUTHS) };
+        let around: Vec<DVec3> = if level { circle(FIT_AZIMUTHS) } else { sphere(FIT_AZIMUTHS) };
         let mean = |lod: &Self, over: &[DVec3]| -> Result<f64, LodError> {
             let alphas: Result<Vec<f64>, LodError> =
                 over.par_iter().map(|&toward| lod.mean_alpha(toward, job)).collect();
@@ -650,7 +641,11 @@ impl Slicings {
         }
         let mut m = (2.0 * libm::tanh(tau / 4.0)).clamp(low, high);
         for _ in 0..FIT_STEPS {
-            if excess(m)? < 0.0 { low = m } else { high = m }
+            if excess(m)? < 0.0 {
+                low = m
+            } else {
+                high = m
+            }
             m = (low + high) * 0.5;
         }
         self.opacity = Opacity::Linear { m };
@@ -724,8 +719,7 @@ fn needed_resolutions(
     for view in views {
         let from_center = view.eye - (crowned.center + crowned.plant.origin);
         let inside = from_center.length() < INSIDE * crowned.radius;
-        let toward =
-            if view.is_orthographic() || inside { view.back } else { from_center };
+        let toward = if view.is_orthographic() || inside { view.back } else { from_center };
         let nearest = (from_center.length() - crowned.radius).max(view.near);
         let per_metre = 1.0 / view.pixel_size_at(nearest);
         for (number, _) in params.blend.shares(toward, view.up) {

@@ -48,11 +48,13 @@ impl Solid {
         let mut runs: Vec<Run> = Vec::new();
         let mut blended = Vec::new();
         for &(mesh, first_id) in meshes {
-            let first_vertex = u32::try_from(buffers.positions.len()).expect("checked by the plant");
+            let first_vertex =
+                u32::try_from(buffers.positions.len()).expect("checked by the plant");
             let first_triangle =
                 u32::try_from(buffers.indices.len() / 3).expect("checked by the plant");
             for part in &mesh.parts {
-                let range = part.triangles.start + first_triangle..part.triangles.end + first_triangle;
+                let range =
+                    part.triangles.start + first_triangle..part.triangles.end + first_triangle;
                 if blend_of(&materials[part.material as usize]) == Blend::Over {
                     blended.extend(part.triangles.clone().map(|triangle| {
                         let corners = mesh.corners(triangle as usize).map(|p| p.as_dvec3());

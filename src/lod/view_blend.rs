@@ -207,7 +207,11 @@ mod tests {
         //   directions at 0, 60, 120, ... 300 degrees
         let blend = ViewBlend::new(&circle(6), None).expect("even circle");
         assert_eq!(shares(&blend, at(0.0)), [(0, 1.0)], "on a direction");
-        assert_eq!(shares(&blend, at(30.0)), [(1, 0.5), (0, 0.5)], "half way: the lower is primary");
+        assert_eq!(
+            shares(&blend, at(30.0)),
+            [(1, 0.5), (0, 0.5)],
+            "half way: the lower is primary"
+        );
         assert_eq!(shares(&blend, at(15.0)), [(1, 0.25), (0, 0.75)], "a quarter");
         assert_eq!(shares(&blend, at(345.0)), [(5, 0.25), (0, 0.75)], "across 0");
         assert_eq!(shares(&blend, at(330.0)), [(5, 0.5), (0, 0.5)], "half way across 0");
@@ -241,8 +245,7 @@ mod tests {
     #[test]
     fn on_the_sphere_three_directions_share() {
         // an octahedron: +x -x +y -y +z -z
-        let axes =
-            [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z];
+        let axes = [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z];
         let mut triangles = Vec::new();
         for x in [0, 1] {
             for y in [2, 3] {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 
 use crate::error::{LodError, check_finite, check_in};
-use crate::plant::{Foliage, Lighting, Mesh};
+use crate::plant::{Foliage, Lighting, Mesh, Structure};
 use crate::texture::{Sampler, Texture};
 
 /// What a material's alpha means.
@@ -52,6 +52,8 @@ pub struct Plant {
     pub foliage: Foliage,
     /// What `front` and `back` colours were computed from.
     pub lighting: Lighting,
+    /// How it branches, where that is known: grown plants know it, files do not say.
+    pub structure: Option<Arc<Structure>>,
 }
 
 impl Plant {
@@ -86,7 +88,7 @@ impl Plant {
             return Err(LodError::Empty { name: "plant", why: "it has no triangles" });
         }
         let foliage = Foliage::new(leaves, leaf_offsets)?;
-        Ok(Self { name, origin, materials, wood, foliage, lighting })
+        Ok(Self { name, origin, materials, wood, foliage, lighting, structure: None })
     }
 
     /// The same plant under other light.

@@ -362,8 +362,12 @@ fn equals_the_naive_twin() {
                 // sums in another order, and untextured triangles at the samples' centroid: colour
                 // over depth bends inside a pixel where a triangle is small or very close
                 let (most, mean) = if sample_count == 1 { (0.0, 0.0) } else { (0.1, 2e-4) };
-                let errors: Vec<f32> = fast.color.iter().zip(&naive.color)
-                    .map(|(a, b)| (*a - *b).abs().max_element()).collect();
+                let errors: Vec<f32> = fast
+                    .color
+                    .iter()
+                    .zip(&naive.color)
+                    .map(|(a, b)| (*a - *b).abs().max_element())
+                    .collect();
                 let largest = errors.iter().copied().fold(0.0, f32::max);
                 let average = errors.iter().sum::<f32>() / errors.len() as f32;
                 assert!(

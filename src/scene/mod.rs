@@ -119,8 +119,7 @@ impl Scene {
                     u32::try_from(number).expect("few representations"),
                     u32::try_from(index).expect("checked when added"),
                 );
-                let crown =
-                    Crown { world_from_local: *placement, distance, rank: 0, key };
+                let crown = Crown { world_from_local: *placement, distance, rank: 0, key };
                 visible.push((number, crown));
             }
         }

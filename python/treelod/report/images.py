@@ -1,0 +1,168 @@
+"""
+How a picture gets into a page: at a size that can be judged, without blur that it did not have.
+
+Small pictures are enlarged by a whole factor without filtering; large ones are shown small as a
+whole, and their worst part is shown enlarged.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import numpy as np
+from PIL import Image
+
+from treelod.color import quantize
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = [
+    "COLUMN_PX",
+    "data_uri",
+    "detail_window",
+    "magma",
+    "overview",
+    "png",
+]
+
+COLUMN_PX = 336
+"""Width of one of three pictures side by side, in CSS pixels."""
+
+DETAIL_PX = 112
+"""Side of the part shown enlarged: a third of a column, so that it is enlarged three times."""
+
+_OVERVIEW_PX = 512
+"""Widest picture of a whole plant in the page; the files beside it have every pixel."""
+
+
+def magma(difference: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """
+    Colour an error map: black is 0, through purple and orange to pale yellow at 1.
+
+    Parameters
+    ----------
+    difference : ndarray of shape (h, w)
+        Errors in [0, 1].
+
+    Returns
+    -------
+    ndarray of shape (h, w, 3), dtype uint8
+        sRGB.
+    """
+    colors: NDArray[Any] = mpl.colormaps["magma"](np.clip(difference, 0.0, 1.0))
+    return quantize(colors[..., :3])
+
+
+def png(picture: NDArray[np.uint8]) -> bytes:
+    """
+    Return a picture as a PNG file.
+
+    Parameters
+    ----------
+    picture : ndarray of shape (h, w, 3), dtype uint8
+        sRGB.
+
+    Returns
+    -------
+    bytes
+        A complete file.
+    """
+    # a level of 9 takes eight times as long for pictures like foliage and saves 2 %
+    return _encoded(picture, format="PNG", compress_level=6)
+
+
+def overview(picture: NDArray[np.uint8]) -> tuple[str, int]:
+    """
+    Prepare a whole picture for one column of the page.
+
+    Parameters
+    ----------
+    picture : ndarray of shape (h, w, 3), dtype uint8
+        sRGB.
+
+    Returns
+    -------
+    uri : str
+        Data URI. Up to a column wide: lossless, enlarged by a whole factor. Up to 512 pixels:
+        lossless, as it is. Wider: filtered down to 512 pixels.
+    width : int
+        CSS pixels to show it at, at most `COLUMN_PX`.
+    """
+    height, width = picture.shape[:2]
+    # portrait pictures are bound by their height, or a tall palm would fill two screens
+    longest = max(width, height)
+    if longest <= COLUMN_PX:
+        factor = COLUMN_PX // longest
+        return data_uri(png(_enlarged(picture, factor)), "image/png"), width * factor
+    shown = max(round(width * COLUMN_PX / longest), 1)
+    if longest <= _OVERVIEW_PX:
+        return data_uri(png(picture), "image/png"), shown
+    scale = _OVERVIEW_PX / longest
+    size = max(round(width * scale), 1), max(round(height * scale), 1)
+    small = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
+    return data_uri(_encoded(small, format="WEBP", quality=92, method=6), "image/webp"), shown
+
+
+def detail_window(difference: NDArray[np.float32]) -> tuple[int, int, int, int] | None:
+    """
+    Find the part of a picture that differs most.
+
+    Parameters
+    ----------
+    difference : ndarray of shape (h, w)
+        Errors of the pixels.
+
+    Returns
+    -------
+    tuple of 4 ints or None
+        Left, top, right, bottom (exclusive) of the 112 x 112 pixels with the largest mean error
+        (of equal ones the topmost, then leftmost); None if the picture is small enough to be
+        shown enlarged as a whole.
+    """
+    height, width = difference.shape
+    if max(width, height) < 2 * DETAIL_PX:
+        return None
+    side_y, side_x = min(DETAIL_PX, height), min(DETAIL_PX, width)
+    sums = np.zeros((height + 1, width + 1))
+    sums[1:, 1:] = difference.cumsum(0, dtype=np.float64).cumsum(1)
+    windows = (
+        sums[side_y:, side_x:]
+        - sums[:-side_y, side_x:]
+        - sums[side_y:, :-side_x]
+        + sums[:-side_y, :-side_x]
+    )
+    top, left = (int(i) for i in np.unravel_index(windows.argmax(), windows.shape))
+    return left, top, left + side_x, top + side_y
+
+
+def data_uri(data: bytes, media_type: str) -> str:
+    """
+    Return a file as a link that carries it.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    media_type : str
+        ``"image/png"`` for example.
+
+    Returns
+    -------
+    str
+        ``data:`` URI, base64.
+    """
+    return f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+def _enlarged(picture: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+    return picture.repeat(factor, axis=0).repeat(factor, axis=1)
+
+
+def _encoded(picture: NDArray[np.uint8], **options: Any) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(picture)).save(file, **options)
+    return file.getvalue()

@@ -1,0 +1,298 @@
+//! Leaves: where along the twigs they sit, how they are turned, and their triangles.
+//!
+//! Leaves are shared out over all leafy wood by its length, to the exact number asked for, and the
+//! outermost leaf of a twig sits on its tip. Each leaf depends on the seed, its place and its index
+//! only, so they are built in parallel with the same result on any number of threads.
+
+use glam::{DVec3, Vec2, Vec3, Vec4};
+use rayon::prelude::*;
+
+use crate::plant::Mesh;
+use crate::plant::grow::params::Species;
+use crate::plant::grow::skeleton::Stem;
+use crate::plant::grow::turn::{across, around_axis, level_side, side_direction};
+use crate::random::{Purpose, Stream};
+
+const LEAF: Purpose = Purpose::named("grow.leaf");
+
+/// Leaves per rayon job.
+const MIN_LEAVES_PER_JOB: usize = 512;
+
+/// Where a leaf sits.
+#[derive(Debug, Clone, Copy)]
+struct Site {
+    stem: u32,
+    /// Distance from the stem's base.
+    arc: f64,
+    /// Azimuth about the stem in radians.
+    around: f64,
+    /// Share of the leafy part below it, in [0, 1].
+    along: f64,
+}
+
+/// The ellipsoid that the leafy wood fills.
+struct Crown {
+    center: DVec3,
+    half_size: DVec3,
+}
+
+/// The foliage's triangles, `blade.triangles.len()` a leaf, and each leaf's stem.
+pub(super) fn leaves(
+    species: &Species,
+    seed: u64,
+    stems: &[Stem],
+    count: usize,
+) -> (Mesh, Vec<u32>) {
+    let crown = Crown::around(species, stems);
+    let sites = sites(species, seed, stems, count);
+    // more leaves than usual are smaller ones: the crown keeps its leaf area and its gaps
+    let scale = (species.leaves.count as f64 / count as f64).min(1.0).sqrt();
+    let blade = species.leaves.blade;
+    let per_leaf = blade.vertices.len();
+
+    let mut mesh = Mesh {
+        positions: vec![Vec3::ZERO; count * per_leaf],
+        normals: vec![Vec3::ZERO; count * per_leaf],
+        uvs: vec![Vec2::ZERO; count * per_leaf],
+        base: vec![Vec4::ONE; count * per_leaf],
+        ..Mesh::default()
+    };
+    let outputs = (
+        mesh.positions.par_chunks_exact_mut(per_leaf),
+        mesh.normals.par_chunks_exact_mut(per_leaf),
+        mesh.uvs.par_chunks_exact_mut(per_leaf),
+        mesh.base.par_chunks_exact_mut(per_leaf),
+    );
+    (sites.par_iter().enumerate(), outputs.0, outputs.1, outputs.2, outputs.3)
+        .into_par_iter()
+        .with_min_len(MIN_LEAVES_PER_JOB)
+        .for_each(|((id, site), positions, normals, uvs, base)| {
+            let stream = Stream::new(seed, LEAF, id as u64);
+            let leaf = Leaf { positions, normals, uvs, base };
+            leaf.fill(species, &stems[site.stem as usize], site, &crown, scale, stream);
+        });
+    mesh.triangles = (0..count)
+        .into_par_iter()
+        .flat_map_iter(|leaf| {
+            let first = leaf * per_leaf;
+            blade.triangles.iter().map(move |corners| {
+                corners.map(|corner| {
+                    u32::try_from(first + usize::from(corner)).expect("the leaf limit keeps to u32")
+                })
+            })
+        })
+        .collect();
+    (mesh, sites.iter().map(|site| site.stem).collect())
+}
+
+/// The arrays' parts that belong to one leaf.
+struct Leaf<'a> {
+    positions: &'a mut [Vec3],
+    normals: &'a mut [Vec3],
+    uvs: &'a mut [Vec2],
+    base: &'a mut [Vec4],
+}
+
+impl Leaf<'_> {
+    fn fill(
+        self,
+        species: &Species,
+        stem: &Stem,
+        site: &Site,
+        crown: &Crown,
+        scale: f64,
+        mut stream: Stream,
+    ) {
+        let leaves = &species.leaves;
+        let node = stem.at(site.arc);
+        let side = level_side(node.direction);
+        let (low, high) = leaves.down;
+        let down = low + (high - low) * site.along + leaves.down_spread * stream.signed();
+        let outward = around_axis(node.direction, side, site.around);
+        let mut direction = side_direction(node.direction, side, site.around, down.to_radians());
+        direction -= DVec3::Y * leaves.droop.at(stream.signed()).max(0.0);
+        let direction = direction.try_normalize().unwrap_or(outward);
+
+        let (up, out, any) = leaves.facing;
+        let anywhere = DVec3::new(stream.signed(), stream.signed(), stream.signed());
+        let facing = DVec3::Y * up + crown.outward(node.position) * out + anywhere * any;
+        let normal = across(facing, direction);
+        let right = direction.cross(normal);
+
+        let full = leaves.length.at(stream.signed());
+        let length = full * scale;
+        // a small leaf of a dense crown stands anywhere in the room of a full-size one
+        let room = (full - length) * stream.unit();
+        let foot = node.position + outward * node.radius.min(length) + direction * room;
+        let curl = leaves.curl.at(stream.signed());
+        let points: Vec<DVec3> = leaves
+            .blade
+            .vertices
+            .iter()
+            .map(|&[x, y, z]| {
+                let z = z - curl * (x * x + y * y);
+                foot + (right * x + direction * y + normal * z) * length
+            })
+            .collect();
+        for (out, point) in self.positions.iter_mut().zip(&points) {
+            *out = point.as_vec3();
+        }
+
+        let mut normals = vec![DVec3::ZERO; points.len()];
+        for &corners in leaves.blade.triangles {
+            let [a, b, c] = corners.map(|corner| points[usize::from(corner)]);
+            let area = (b - a).cross(c - a);
+            for corner in corners {
+                normals[usize::from(corner)] += area;
+            }
+        }
+        for (out, sum) in self.normals.iter_mut().zip(&normals) {
+            *out = sum.normalize_or(normal).as_vec3();
+        }
+
+        // squaring keeps most leaves near the main colour
+        let other = stream.unit();
+        let color = DVec3::from(leaves.color).lerp(DVec3::from(leaves.other_color), other * other);
+        let light = leaves.inner + (1.0 - leaves.inner) * crown.depth(node.position);
+        let color = color * (light * (1.0 + leaves.spread * stream.signed()));
+        for ((out, uv), vertex) in self.base.iter_mut().zip(self.uvs).zip(leaves.blade.vertices) {
+            // slightly brighter towards the tip
+            let shade = 0.9 + 0.15 * vertex[1].clamp(0.0, 1.0);
+            *out = (color * shade).as_vec3().min(Vec3::ONE).extend(1.0);
+            *uv = DVec3::new(0.5 + 0.5 * vertex[0], 1.0 - vertex[1], 0.0).as_vec3().truncate();
+        }
+    }
+}
+
+impl Crown {
+    fn around(species: &Species, stems: &[Stem]) -> Self {
+        let mut low = DVec3::INFINITY;
+        let mut high = DVec3::NEG_INFINITY;
+        for stem in stems {
+            let bare = bare_length(species, stem);
+            for arc in [bare, stem.length()] {
+                let position = stem.at(arc).position;
+                low = low.min(position);
+                high = high.max(position);
+            }
+        }
+        Self { center: (low + high) * 0.5, half_size: ((high - low) * 0.5).max(DVec3::splat(1e-3)) }
+    }
+
+    /// Unit vector away from the middle.
+    fn outward(&self, position: DVec3) -> DVec3 {
+        ((position - self.center) / self.half_size).normalize_or_zero()
+    }
+
+    /// 0 in the middle, 1 on the rim, rising towards it.
+    fn depth(&self, position: DVec3) -> f64 {
+        ((position - self.center) / self.half_size).length_squared().min(1.0)
+    }
+}
+
+/// Length of a stem below its leaves.
+fn bare_length(species: &Species, stem: &Stem) -> f64 {
+    if stem.level + 1 == species.levels.len() {
+        stem.length() * species.leaves.bare
+    } else {
+        (stem.length() - species.leaves.end).max(0.0)
+    }
+}
+
+/// Shares `count` leaves out over the leafy wood, by length.
+fn sites(species: &Species, seed: u64, stems: &[Stem], count: usize) -> Vec<Site> {
+    const SITE: Purpose = Purpose::named("grow.site");
+    let ends: Vec<f64> = stems
+        .iter()
+        .scan(0.0, |sum, stem| {
+            *sum += stem.length() - bare_length(species, stem);
+            Some(*sum)
+        })
+        .collect();
+    let total = ends[ends.len() - 1];
+    let mut sites = Vec::with_capacity(count);
+    for (id, (stem, end)) in stems.iter().zip(&ends).enumerate() {
+        // rounding the running sum makes the last one exactly `count`
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "at most count"
+        )]
+        let until = (end / total * count as f64).round() as usize;
+        let here = until - sites.len();
+        if here == 0 {
+            continue;
+        }
+        let mut stream = Stream::new(seed, SITE, id as u64);
+        let bare = bare_length(species, stem);
+        let leafy = stem.length() - bare;
+        let whorls = here.div_ceil(species.leaves.whorl);
+        let mut around = stream.unit() * 360.0;
+        for whorl in 0..whorls {
+            // the topmost whorl is the one on the tip, and the one that is always full
+            let from_tip = whorls - 1 - whorl;
+            let jitter = if from_tip == 0 { 0.0 } else { 0.4 * stream.signed() };
+            let along = 1.0 - (from_tip as f64 + jitter) / whorls as f64;
+            around += species.leaves.around.at(stream.signed());
+            let left = until - sites.len();
+            let size = left - (from_tip * species.leaves.whorl).min(left);
+            for leaf in 0..size {
+                let turn = around + 360.0 * leaf as f64 / size as f64;
+                sites.push(Site {
+                    stem: u32::try_from(id).expect("stems are few"),
+                    arc: bare + leafy * along,
+                    around: turn.to_radians(),
+                    along,
+                });
+            }
+        }
+    }
+    sites
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::grow::presets::PRESETS;
+    use crate::plant::grow::skeleton::grow_stems;
+
+    #[test]
+    fn leaves_are_shared_out_by_length() {
+        for species in PRESETS {
+            let stems = grow_stems(species, 1);
+            for count in [1, 2, 7, species.leaves.count] {
+                let sites = sites(species, 1, &stems, count);
+                assert_eq!(sites.len(), count, "{}", species.name);
+            }
+            let sites = sites(species, 1, &stems, species.leaves.count);
+            let leafy = |stem: &Stem| stem.length() - bare_length(species, stem);
+            let total: f64 = stems.iter().map(leafy).sum();
+            for (id, stem) in stems.iter().enumerate() {
+                let here = sites.iter().filter(|site| site.stem as usize == id).count();
+                let due = leafy(stem) / total * species.leaves.count as f64;
+                assert!((here as f64 - due).abs() < 1.0 + 1e-6, "{here} leaves for {due}");
+            }
+        }
+    }
+
+    #[test]
+    fn no_leaf_floats_and_no_twig_is_bare() {
+        for species in PRESETS {
+            let stems = grow_stems(species, 1);
+            let (mesh, owners) = leaves(species, 1, &stems, species.leaves.count);
+            let sites = sites(species, 1, &stems, species.leaves.count);
+            let per_leaf = species.leaves.blade.vertices.len();
+            for (leaf, site) in sites.iter().enumerate() {
+                // a blade's first vertex is where it is fixed
+                let foot = mesh.positions[leaf * per_leaf].as_dvec3();
+                let node = stems[site.stem as usize].at(site.arc);
+                let gap = foot.distance(node.position) - node.radius;
+                assert!(gap < 1e-5, "{}: leaf {leaf} is {gap} m away", species.name);
+            }
+            let mut leafy = owners.clone();
+            leafy.dedup();
+            let share = leafy.len() as f64 / stems.len() as f64;
+            assert!(share > 0.99, "{}: only {share} of the stems end in leaves", species.name);
+        }
+    }
+}
