@@ -17,6 +17,7 @@ pub mod error;
 pub mod job;
 pub mod lod;
 pub mod plant;
+pub mod png;
 pub mod random;
 pub mod raster;
 pub mod scene;

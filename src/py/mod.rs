@@ -5,8 +5,12 @@
 //! `python/treelod/errors.py`, by the one conversion below.
 
 mod arrays;
+mod lod;
 mod plant;
+mod png;
+mod render;
 mod run;
+mod view;
 
 use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
 use pyo3::prelude::*;
@@ -56,7 +60,13 @@ impl From<LodError> for PyErr {
 #[pymodule]
 mod _core {
     #[pymodule_export]
+    use super::lod::{Representation, circle_directions, full_mesh, slicings, sphere_directions};
+    #[pymodule_export]
     use super::plant::{Plant, smooth_normals};
+    #[pymodule_export]
+    use super::png::encode_png;
+    #[pymodule_export]
+    use super::render::{Renderer, Scene};
     #[pymodule_export]
     use super::run::{_panic_for_test, _spin_for_test};
 

@@ -1,0 +1,297 @@
+"""
+Draw a technique or a scene from a camera, and time it.
+
+A frame's time is what the core needs to emit a draw list and to draw it into warm memory: clear,
+transform, bin, raster, resolve. No Python, no upload, no metrics and no file is in it.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from treelod import _core
+from treelod.scenes import Scene
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from treelod.cameras import Camera
+    from treelod.techniques.technique import Technique
+
+__all__ = ["EMPTY_ID", "OUTPUTS", "Frame", "Stats", "render", "time_frames"]
+
+EMPTY_ID = 0xFFFFFFFF
+"""Value of `Frame.ids` where nothing is drawn."""
+
+OUTPUTS = ("color", "depth", "ids", "normal", "albedo", "color8")
+"""Planes that `render` can make."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stats:
+    """
+    What drawing a frame took.
+
+    Attributes
+    ----------
+    frame_millis : float
+        `emit_millis` + `draw_millis`.
+    emit_millis : float
+        Making the draw list, in milliseconds.
+    draw_millis : float
+        Drawing it, in milliseconds.
+    triangles, cards, lines, points : int
+        Primitives submitted, copies counted.
+    vertices : int
+        Vertices transformed, over all sets of samples.
+    fragments : int
+        (primitive, pixel) pairs of which a sample is covered, hidden ones included, over all sets
+        of up to 16 samples.
+    samples : int
+        Samples a pixel.
+    threads : int
+        Threads of the pool that drew it.
+    backend : str
+        What drew it.
+    """
+
+    frame_millis: float
+    emit_millis: float
+    draw_millis: float
+    triangles: int
+    cards: int
+    lines: int
+    points: int
+    vertices: int
+    fragments: int
+    samples: int
+    threads: int
+    backend: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Frame:
+    """
+    A picture. Planes that were not asked for are None; row 0 is on top.
+
+    Attributes
+    ----------
+    color : ndarray of shape (H, W, 4), dtype float32, or None
+        Linear, premultiplied.
+    depth : ndarray of shape (H, W), dtype float32, or None
+        Distance along the viewing direction of the nearest sample in metres, inf where there is
+        none. Where only blended cards are seen, the first of them, front to back, at which the
+        opacity reaches one half.
+    ids : ndarray of shape (H, W), dtype uint32, or None
+        Source triangle of the nearest sample, wood first; `EMPTY_ID` where there is none.
+    normal : ndarray of shape (H, W, 3), dtype float32, or None
+        World-space normal of the side seen, times opacity.
+    albedo : ndarray of shape (H, W, 4), dtype float32, or None
+        As `color`, without light.
+    color8 : ndarray of shape (H, W, 4), dtype uint8, or None
+        sRGB of the premultiplied colour; alpha linear.
+    stats : Stats
+        What it took.
+    camera : Camera
+        From where.
+    bounds_px : tuple of 4 ints
+        Pixels (left, top, right, bottom; ends exclusive) that the box around everything drawn can
+        touch, inside the picture; left = right where it is out of view.
+    """
+
+    color: NDArray[np.float32] | None
+    depth: NDArray[np.float32] | None
+    ids: NDArray[np.uint32] | None
+    normal: NDArray[np.float32] | None
+    albedo: NDArray[np.float32] | None
+    color8: NDArray[np.uint8] | None
+    stats: Stats
+    camera: Camera
+    bounds_px: tuple[int, int, int, int]
+
+    def __repr__(self) -> str:
+        width, height = self.camera.size
+        planes = [name for name in OUTPUTS if getattr(self, name) is not None]
+        return f"Frame({width} x {height}, {', '.join(planes)})"
+
+
+def render(
+    subject: Technique | Scene,
+    camera: Camera,
+    *,
+    backend: str = "cpu",
+    samples: int = 4,
+    background: Sequence[float] | None = None,
+    outputs: Sequence[str] = ("color", "depth"),
+    threads: int | None = None,
+) -> Frame:
+    """
+    Draw a technique's plant, or a scene.
+
+    Parameters
+    ----------
+    subject : Technique or Scene
+        A technique stands where its plant's file put it.
+    camera : Camera
+        From where, and how large.
+    backend : {'cpu'}, default 'cpu'
+        What draws.
+    samples : int, default 4
+        Samples a pixel: 1, 4, 8, 16, or any number from 17 to 65536. The picture is the mean of
+        that many one-sample pictures at fixed positions.
+    background : sequence of 3 or 4 floats, optional
+        Linear colour behind everything, premultiplied if it has an alpha. Default: transparent.
+    outputs : sequence of str, default ('color', 'depth')
+        Planes to make, from `OUTPUTS`.
+    threads : int, optional
+        Threads that draw; the picture is the same for any number. Default: ``TREELOD_NUM_THREADS``,
+        else all cores.
+
+    Returns
+    -------
+    Frame
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range or names nothing, or if the technique was built for other
+        cameras.
+    LimitError
+        If the picture would be too large.
+
+    Examples
+    --------
+    >>> import treelod as tl
+    >>> plant = tl.grow_plant("chestnut", leaf_count=50)
+    >>> camera = tl.orbit(plant, count=1, size=(64, 64))[0]
+    >>> frame = tl.render(tl.FullMesh.build(plant), camera)
+    >>> frame.color.shape, bool(frame.color.max() <= 1.0)
+    ((64, 64, 4), True)
+    """
+    if backend != "cpu":
+        msg = f"backend must be 'cpu', got {backend!r}"
+        raise ValueError(msg)
+    samples = _sample_count(samples)
+    if isinstance(outputs, str) or not outputs:
+        msg = f"outputs must be a sequence of names from {OUTPUTS}, got {outputs!r}"
+        raise ValueError(msg)
+    scene = _scene(subject)
+    facts = camera_facts(camera)
+    planes, stats = _core.Renderer().render(
+        scene._core,
+        facts,
+        samples=samples,
+        background=_background(background),
+        outputs=list(outputs),
+        threads=threads,
+    )
+    return Frame(
+        **{name: planes.get(name) for name in OUTPUTS},
+        stats=_stats(stats, samples),
+        camera=camera,
+        bounds_px=scene._core.bounds_px(facts),
+    )
+
+
+def time_frames(
+    subjects: Mapping[str, Technique | Scene],
+    camera: Camera,
+    *,
+    samples: int = 4,
+    warmup: int = 2,
+    repeats: int = 9,
+    threads: int | None = None,
+) -> dict[str, NDArray[np.float64]]:
+    """
+    Time frames of several subjects from one camera, taking turns.
+
+    Taking turns spreads whatever else the machine does over all subjects alike. Only colour is
+    drawn, into memory that stays warm.
+
+    Parameters
+    ----------
+    subjects : mapping of str to (Technique or Scene)
+        What to draw, by label.
+    camera : Camera
+        From where.
+    samples : int, default 4
+        Samples a pixel, as in `render`.
+    warmup : int, default 2
+        Rounds that are drawn first and not counted, at least 0.
+    repeats : int, default 9
+        Rounds that are counted, at least 1.
+    threads : int, optional
+        As in `render`.
+
+    Returns
+    -------
+    dict of str to ndarray of shape (repeats,), dtype float64
+        Milliseconds of each frame: emit and draw.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+    """
+    if operator.index(warmup) < 0 or operator.index(repeats) < 1:
+        msg = f"warmup must be at least 0 and repeats at least 1, got {warmup} and {repeats}"
+        raise ValueError(msg)
+    samples = _sample_count(samples)
+    facts = camera_facts(camera)
+    runs = {
+        label: (_core.Renderer(), _scene(subject)._core, np.empty(repeats))
+        for label, subject in subjects.items()
+    }
+    for turn in range(-warmup, repeats):
+        for renderer, scene, millis in runs.values():
+            stats = renderer.time(scene, facts, samples=samples, threads=threads)
+            if turn >= 0:
+                millis[turn] = stats["emit_millis"] + stats["draw_millis"]
+    return {label: millis for label, (_, _, millis) in runs.items()}
+
+
+def camera_facts(camera: Camera) -> _core._CameraFacts:
+    """Return a camera as the core takes it: with an `up` that is never parallel to the view."""
+    up = camera.view_rotation()[1]
+    return {
+        "eye": camera.eye,
+        "target": camera.target,
+        "up": (float(up[0]), float(up[1]), float(up[2])),
+        "fov_y_deg": camera.fov_y_deg,
+        "height": camera.height,
+        "size": camera.size,
+        "near": camera.near,
+    }
+
+
+def _scene(subject: Technique | Scene) -> Scene:
+    return subject if isinstance(subject, Scene) else Scene([(subject, None)])
+
+
+def _sample_count(samples: int) -> int:
+    count = operator.index(samples)
+    if not 1 <= count <= 65536:
+        msg = f"samples must be 1, 4, 8, 16 or 17..=65536, got {count}"
+        raise ValueError(msg)
+    return count
+
+
+def _background(background: Sequence[float] | None) -> tuple[float, float, float, float]:
+    if background is None:
+        return (0.0, 0.0, 0.0, 0.0)
+    color = np.asarray(background, dtype=np.float64)
+    if color.shape not in ((3,), (4,)):
+        msg = f"background must have 3 or 4 components, got shape {color.shape}"
+        raise ValueError(msg)
+    red, green, blue = (float(channel) for channel in color[:3])
+    return (red, green, blue, float(color[3]) if len(color) == 4 else 1.0)
+
+
+def _stats(facts: Mapping[str, Any], samples: int) -> Stats:
+    total = facts["emit_millis"] + facts["draw_millis"]
+    return Stats(**facts, frame_millis=total, samples=samples, backend="cpu")

@@ -1,0 +1,147 @@
+"""What all techniques have in common: built from a plant, with a cost and with textures."""
+
+from __future__ import annotations
+
+import operator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from treelod import _core
+
+__all__ = ["BakedTexture", "Footprint", "Technique", "wood_facts"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Footprint:
+    """
+    What a technique holds for one plant, whether or not a view needs it.
+
+    Attributes
+    ----------
+    triangles, cards, lines, points : int
+        Primitives stored, by kind.
+    geometry_bytes : int
+        Vertices, indices and side tables.
+    texture_bytes : int
+        All mip levels in the format they are stored in.
+    """
+
+    triangles: int
+    cards: int
+    lines: int
+    points: int
+    geometry_bytes: int
+    texture_bytes: int
+
+    @property
+    def total_bytes(self) -> int:
+        """Geometry and textures together."""
+        return self.geometry_bytes + self.texture_bytes
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BakedTexture:
+    """
+    A texture of a technique.
+
+    Attributes
+    ----------
+    name : str
+        What it shows.
+    levels : list of ndarray of shape (H, W, 4), dtype uint8
+        sRGB with straight alpha as stored, the finest level first; row 0 on top.
+    corners : ndarray of shape (4, 3), dtype float64, or None
+        World positions of its corners in metres, from the lower left counter-clockwise; None for a
+        texture of the plant's own.
+    """
+
+    name: str
+    levels: list[NDArray[np.uint8]]
+    corners: NDArray[np.float64] | None
+
+    def __repr__(self) -> str:
+        height, width = self.levels[0].shape[:2]
+        return f"BakedTexture({self.name!r}, {width} x {height})"
+
+
+class Technique:
+    """
+    A plant as one technique stands for it. Made by a subclass's `build`; never changes.
+
+    Attributes
+    ----------
+    name : str
+        Of the class: what tables and command lines call it.
+    params : dict
+        What it was built with, defaults included.
+    build_secs : float
+        Seconds that building took.
+    """
+
+    name: ClassVar[str]
+
+    def __init__(
+        self, core: _core.Representation, params: Mapping[str, Any], build_secs: float
+    ) -> None:
+        self._core = core
+        self.params = dict(params)
+        self.build_secs = build_secs
+
+    @classmethod
+    def build(cls, *args: Any, **params: Any) -> Technique:
+        """Build the technique for a plant: see the subclasses."""
+        msg = f"{cls.__name__} is not a technique: use one of treelod.techniques.REGISTRY"
+        raise TypeError(msg)
+
+    @property
+    def footprint(self) -> Footprint:
+        """Bytes and primitives by kind."""
+        return Footprint(**self._core.footprint)
+
+    @property
+    def textures(self) -> list[BakedTexture]:
+        """Copies of all textures, bakes first."""
+        return [
+            BakedTexture(
+                name=name, levels=levels, corners=None if corners is None else np.array(corners)
+            )
+            for name, levels, corners in self._core.textures
+        ]
+
+    def __repr__(self) -> str:
+        params = ", ".join(f"{name}={value!r}" for name, value in self.params.items())
+        return f"{type(self).__name__}({params})"
+
+
+def wood_facts(*, wood: bool, wood_triangle_count: int | None) -> dict[str, Any]:
+    """
+    Check the two parameters that every `build` has for its wood.
+
+    Parameters
+    ----------
+    wood : bool
+        Whether wood is drawn at all.
+    wood_triangle_count : int or None
+        About how many triangles of it, at least 1; None for all.
+
+    Returns
+    -------
+    dict
+        The two, as the core takes them.
+
+    Raises
+    ------
+    ValueError
+        If the count is below 1.
+    """
+    if wood_triangle_count is not None and operator.index(wood_triangle_count) < 1:
+        msg = f"wood_triangle_count must be at least 1 or None, got {wood_triangle_count}"
+        raise ValueError(msg)
+    return {"wood": bool(wood), "wood_triangle_count": wood_triangle_count}

@@ -1,0 +1,186 @@
+//! Techniques for Python: each builds a representation, which is then drawn and looked at.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use super::arrays::rows;
+use super::plant::Plant;
+use super::run::run;
+use super::view::CameraFacts;
+use crate::bake::Format;
+use crate::error::LodError;
+use crate::lod;
+use crate::lod::full_mesh::FullMesh;
+use crate::lod::slicings::{Correction, LargeLeaves, Params, Slicings};
+use crate::lod::view_blend::ViewBlend;
+use crate::lod::wood::Wood;
+use crate::texture::Filter;
+
+/// A plant as one technique stands for it. Immutable.
+#[pyclass(frozen, module = "treelod._core")]
+pub(super) struct Representation {
+    pub(super) inner: Arc<dyn lod::Representation>,
+}
+
+#[pymethods]
+impl Representation {
+    /// Counts and bytes by name.
+    #[getter]
+    fn footprint<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let footprint = self.inner.footprint();
+        let facts = PyDict::new(py);
+        facts.set_item("triangles", footprint.triangle_count)?;
+        facts.set_item("cards", footprint.card_count)?;
+        facts.set_item("lines", footprint.line_count)?;
+        facts.set_item("points", footprint.point_count)?;
+        facts.set_item("geometry_bytes", footprint.geometry_bytes)?;
+        facts.set_item("texture_bytes", footprint.texture_bytes)?;
+        Ok(facts)
+    }
+
+    /// Name, levels as (H, W, 4) uint8 arrays, and corners (4, 3) in the plant's world or None.
+    #[getter]
+    fn textures<'py>(&self, py: Python<'py>) -> PyResult<Vec<TextureFacts<'py>>> {
+        let origin = self.inner.origin();
+        self.inner
+            .textures()
+            .into_iter()
+            .map(|named| {
+                let levels = named.texture.levels().iter().map(|level| {
+                    let shape = [level.height as usize, level.width as usize, 4];
+                    PyArray1::from_slice(py, bytemuck::cast_slice::<[u8; 4], u8>(&level.texels))
+                        .reshape(shape)
+                });
+                let corners = named
+                    .rect
+                    .map(|rect| rect.corners().map(|corner| (corner + origin).to_array()));
+                Ok((named.name, levels.collect::<PyResult<_>>()?, corners))
+            })
+            .collect()
+    }
+}
+
+type TextureFacts<'py> = (String, Vec<Bound<'py, PyArray3<u8>>>, Option<[[f64; 3]; 4]>);
+
+fn wood_from(wood: bool, triangle_count: Option<usize>) -> Wood {
+    match (wood, triangle_count) {
+        (false, _) => Wood::None,
+        (true, None) => Wood::Full,
+        (true, Some(count)) => Wood::Simplified(count),
+    }
+}
+
+fn choice<T: Copy>(name: &'static str, value: &str, choices: &[(&str, T)]) -> PyResult<T> {
+    let found = choices.iter().find(|(text, _)| *text == value);
+    found.map(|&(_, chosen)| chosen).ok_or_else(|| {
+        let known: Vec<String> = choices.iter().map(|(text, _)| format!("{text:?}")).collect();
+        PyValueError::new_err(format!("{name} must be {}, got {value:?}", known.join(" or ")))
+    })
+}
+
+/// The plant as it is.
+#[pyfunction]
+#[pyo3(signature = (plant, *, wood, wood_triangle_count, filter))]
+pub(super) fn full_mesh(
+    py: Python<'_>,
+    plant: &Plant,
+    wood: bool,
+    wood_triangle_count: Option<usize>,
+    filter: &str,
+) -> PyResult<Representation> {
+    let filters = [
+        ("nearest", Filter::Nearest),
+        ("bilinear", Filter::Bilinear),
+        ("trilinear", Filter::Trilinear),
+    ];
+    let filter = choice("filter", filter, &filters)?;
+    let wood = wood_from(wood, wood_triangle_count);
+    let plant = Arc::clone(&plant.inner);
+    let built = run(py, None, None, move |_| FullMesh::build(&plant, wood, filter))?;
+    Ok(Representation { inner: Arc::new(built) })
+}
+
+/// Slices through the crown; also what was measured while baking, and which slicings were baked.
+#[pyfunction]
+#[pyo3(signature = (
+    plant, orientations, sphere_triangles, *, slice_count, resolution, samples, correction,
+    large_leaves, format, wood, wood_triangle_count, views, threads, progress
+))]
+#[expect(clippy::too_many_arguments, reason = "called from one place, by its Python face")]
+pub(super) fn slicings<'py>(
+    py: Python<'py>,
+    plant: &Plant,
+    orientations: PyReadonlyArray2<'py, f64>,
+    sphere_triangles: Option<PyReadonlyArray2<'py, u32>>,
+    slice_count: usize,
+    resolution: (u32, u32),
+    samples: u32,
+    correction: CorrectionFacts,
+    large_leaves: &str,
+    format: &str,
+    wood: bool,
+    wood_triangle_count: Option<usize>,
+    views: Option<Vec<CameraFacts>>,
+    threads: Option<usize>,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<(Representation, Bound<'py, PyDict>)> {
+    let directions: Vec<[f64; 3]> = rows("orientations", &orientations)?;
+    let directions: Vec<DVec3> = directions.into_iter().map(DVec3::from).collect();
+    let triangles =
+        sphere_triangles.map(|t| rows::<u32, [u32; 3]>("sphere_triangles", &t)).transpose()?;
+    let corrections = [("fit", Correction::Fit), ("optical", Correction::Optical)];
+    let correction = match correction {
+        CorrectionFacts::Linear(m) => Correction::Linear(m),
+        CorrectionFacts::Named(name) => choice("correction", &name, &corrections)?,
+    };
+    let large = [("split", LargeLeaves::Split), ("mesh", LargeLeaves::Mesh)];
+    let formats = [("rgba8", Format::Rgba8), ("rgb5a1", Format::Rgb5a1)];
+    let views = views.map(|views| views.iter().map(CameraFacts::view).collect()).transpose()?;
+    let params = Params {
+        blend: ViewBlend::new(&directions, triangles)?,
+        slice_count,
+        resolution,
+        sample_count: samples,
+        correction,
+        large_leaves: choice("large_leaves", large_leaves, &large)?,
+        format: choice("format", format, &formats)?,
+        wood: wood_from(wood, wood_triangle_count),
+        views,
+    };
+    let plant = Arc::clone(&plant.inner);
+    let (built, measured) =
+        run(py, threads, progress, move |job| Slicings::build(&plant, &params, job))?;
+    let facts = PyDict::new(py);
+    facts.set_item("m", measured.m)?;
+    facts.set_item("fitted", measured.fitted)?;
+    facts.set_item("tau", measured.tau)?;
+    facts.set_item("large_leaf_count", measured.large_leaf_count)?;
+    facts.set_item("baked", built.baked())?;
+    Ok((Representation { inner: Arc::new(built) }, facts))
+}
+
+/// A number, or the name of a rule that finds it.
+#[derive(FromPyObject)]
+pub(super) enum CorrectionFacts {
+    Linear(f64),
+    Named(String),
+}
+
+/// Points on the unit sphere, evenly: shape (count, 3).
+#[pyfunction]
+pub(super) fn sphere_directions(count: usize) -> Result<Vec<[f64; 3]>, LodError> {
+    crate::error::check_in("slicing_count", count, 1..=4096)?;
+    Ok(lod::slicings::sphere(count).into_iter().map(|direction| direction.to_array()).collect())
+}
+
+/// Points on the horizontal unit circle, evenly, from +z, counter-clockwise from above.
+#[pyfunction]
+pub(super) fn circle_directions(count: usize) -> Result<Vec<[f64; 3]>, LodError> {
+    crate::error::check_in("slicing_count", count, 1..=4096)?;
+    Ok(lod::view_blend::circle(count).into_iter().map(|direction| direction.to_array()).collect())
+}
