@@ -12,6 +12,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from treelod.techniques import REGISTRY
+
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 
@@ -175,8 +177,6 @@ def test_dependencies_have_their_reason():
 
 
 def test_techniques_table_is_the_registry():
-    from treelod.techniques import REGISTRY
-
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     rows = table_after(readme, "| technique | name | status | after |")
     status = {row[1].strip("`"): row[2] for row in rows}
@@ -193,3 +193,55 @@ def test_environment_variables_table_is_complete():
     for source in sources:
         used.update(re.findall(r"[\"'](TREELOD_[A-Z_]+)[\"']", source.read_text(encoding="utf-8")))
     assert stated == used
+
+
+# Layout of the core
+
+
+def module_order():
+    """Rank of each module of the core, from the one line of the documents that states it."""
+    text = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^    (\w[\w, ]* < [\w, <]*)$", text, re.MULTILINE)
+    ranks = line.split(" < ")
+    return {name: rank for rank, names in enumerate(ranks) for name in names.split(", ")}
+
+
+def wrong_imports(module, source, order):
+    """Modules that `module` names although they do not come before it."""
+    named = set(re.findall(r"\bcrate::(\w+)", source)) & set(order)
+    return sorted(name for name in named if name != module and order[name] >= order[module])
+
+
+def core_sources():
+    """Each file of the core with the module at the top of its path."""
+    src = ROOT / "src"
+    for file in sorted(src.glob("**/*.rs")):
+        module = file.relative_to(src).parts[0].removesuffix(".rs")
+        if module != "lib":
+            yield file, module
+
+
+def test_imports_go_one_way():
+    order = module_order()
+    for file, module in core_sources():
+        assert wrong_imports(module, file.read_text(encoding="utf-8"), order) == [], file
+
+
+def test_wrong_imports_are_found():
+    order = {"error": 0, "view": 1, "raster": 2}
+    assert wrong_imports("view", "use crate::error::LodError;\nuse crate::view::View;", order) == []
+    assert wrong_imports("view", "use crate::raster::Frame;", order) == ["raster"]
+
+
+def test_no_technique_knows_another():
+    for name in REGISTRY:
+        source = (ROOT / f"src/lod/{name}.rs").read_text(encoding="utf-8")
+        others = "|".join(other for other in REGISTRY if other != name)
+        assert re.findall(rf"\b(?:lod|super)::(?:{others})\b", source) == [], name
+
+
+def test_the_core_knows_neither_python_nor_files():
+    for file, module in core_sources():
+        if module != "py":
+            source = file.read_text(encoding="utf-8")
+            assert re.findall(r"\b(?:pyo3|numpy::|std::fs)\b", source) == [], file
