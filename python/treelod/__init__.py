@@ -23,6 +23,9 @@ from treelod.errors import (
     TreelodError,
 )
 from treelod.plants import Foliage, Lighting, Material, Mesh, Plant
+from treelod.render import Frame, render, time_frames
+from treelod.scenes import Scene
+from treelod.techniques import FullMesh, Slicings
 
 if TYPE_CHECKING:
     from treelod import metrics
@@ -32,6 +35,8 @@ __all__ = [
     "DeviceError",
     "Foliage",
     "ForkedError",
+    "Frame",
+    "FullMesh",
     "InternalError",
     "Lighting",
     "LimitError",
@@ -40,11 +45,15 @@ __all__ = [
     "NoAdapterError",
     "Plant",
     "PlantFileError",
+    "Scene",
+    "Slicings",
     "StoreError",
     "TreelodError",
     "__version__",
     "metrics",
     "orbit",
+    "render",
+    "time_frames",
 ]
 
 _HEAVY = {"metrics"}

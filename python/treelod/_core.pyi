@@ -1,16 +1,24 @@
 from collections.abc import Callable, Sequence
-from typing import Final, TypedDict, final
+from typing import Any, Final, TypedDict, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
     "Plant",
+    "Renderer",
+    "Representation",
+    "Scene",
     "__version__",
     "_panic_for_test",
     "_spin_for_test",
     "build_profile",
+    "circle_directions",
+    "encode_png",
+    "full_mesh",
+    "slicings",
     "smooth_normals",
+    "sphere_directions",
 ]
 
 _F32 = NDArray[np.float32]
@@ -95,3 +103,73 @@ def _spin_for_test(
     threads: int | None = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> None: ...
+
+class _CameraFacts(TypedDict):
+    eye: Sequence[float]
+    target: Sequence[float]
+    up: Sequence[float]
+    fov_y_deg: float | None
+    height: float | None
+    size: tuple[int, int]
+    near: float
+
+@final
+class Representation:
+    @property
+    def footprint(self) -> dict[str, int]: ...
+    @property
+    def textures(
+        self,
+    ) -> list[tuple[str, list[NDArray[np.uint8]], list[list[float]] | None]]: ...
+
+@final
+class Scene:
+    def __new__(
+        cls, groups: Sequence[tuple[Representation, NDArray[np.float64]]]
+    ) -> Scene: ...
+    @property
+    def instance_count(self) -> int: ...
+    @property
+    def bounds(self) -> tuple[list[float], list[float]] | None: ...
+    def bounds_px(self, camera: _CameraFacts) -> tuple[int, int, int, int]: ...
+
+@final
+class Renderer:
+    def __new__(cls) -> Renderer: ...
+    def render(
+        self,
+        scene: Scene,
+        camera: _CameraFacts,
+        *,
+        samples: int,
+        background: tuple[float, float, float, float],
+        outputs: Sequence[str],
+        threads: int | None,
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, float]]: ...
+    def time(
+        self, scene: Scene, camera: _CameraFacts, *, samples: int, threads: int | None
+    ) -> dict[str, float]: ...
+
+def full_mesh(
+    plant: Plant, *, wood: bool, wood_triangle_count: int | None, filter: str
+) -> Representation: ...
+def slicings(
+    plant: Plant,
+    orientations: NDArray[np.float64],
+    sphere_triangles: _U32 | None,
+    *,
+    slice_count: int,
+    resolution: tuple[int, int],
+    samples: int,
+    correction: float | str,
+    large_leaves: str,
+    format: str,
+    wood: bool,
+    wood_triangle_count: int | None,
+    views: Sequence[_CameraFacts] | None,
+    threads: int | None,
+    progress: Callable[[int, int], object] | None,
+) -> tuple[Representation, dict[str, Any]]: ...
+def circle_directions(count: int) -> list[list[float]]: ...
+def sphere_directions(count: int) -> list[list[float]]: ...
+def encode_png(picture: NDArray[np.uint8]) -> bytes: ...

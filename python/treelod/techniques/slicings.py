@@ -7,7 +7,6 @@ import time
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from treelod import _core
 from treelod.render import camera_facts
@@ -217,6 +216,9 @@ def _directions(
     usable = np.isfinite(lengths).all() and (lengths > 0).all()
     if len(directions) < 4 or not usable or np.allclose(directions[:, 1], 0.0):
         return directions, None
+    # a large library, for the sphere alone
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         hull = ConvexHull(directions / lengths[:, np.newaxis])
     except QhullError:
