@@ -22,7 +22,7 @@ from treelod.errors import (
     StoreError,
     TreelodError,
 )
-from treelod.plants import Foliage, Lighting, Material, Mesh, Plant
+from treelod.plants import Foliage, Lighting, Material, Mesh, Plant, grow_plant
 
 if TYPE_CHECKING:
     from treelod import metrics
@@ -43,6 +43,7 @@ __all__ = [
     "StoreError",
     "TreelodError",
     "__version__",
+    "grow_plant",
     "metrics",
     "orbit",
 ]

@@ -10,6 +10,8 @@ __all__ = [
     "_panic_for_test",
     "_spin_for_test",
     "build_profile",
+    "grow",
+    "preset_names",
     "smooth_normals",
 ]
 
@@ -87,6 +89,8 @@ class Plant:
     @property
     def leaves(self) -> tuple[_U32, _F32, _F32, _F32]: ...
 
+def grow(preset: str, seed: int, leaf_count: int | None, lighting: _LightingFacts) -> Plant: ...
+def preset_names() -> list[str]: ...
 def smooth_normals(positions: _F32, triangles: _U32) -> _F32: ...
 def _panic_for_test() -> None: ...
 def _spin_for_test(

@@ -5,6 +5,7 @@
 //! `python/treelod/errors.py`, by the one conversion below.
 
 mod arrays;
+mod grow;
 mod plant;
 mod run;
 
@@ -55,6 +56,8 @@ impl From<LodError> for PyErr {
 /// The compiled part of treelod. Its face is the `treelod` package.
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::grow::{grow, preset_names};
     #[pymodule_export]
     use super::plant::{Plant, smooth_normals};
     #[pymodule_export]
