@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from treelod.cameras import Camera, orbit
+from treelod.cameras import Camera, default_cameras, orbit
 
 PLANT = SimpleNamespace(sphere=((1.0, 2.0, 3.0), 2.0))
 
@@ -144,6 +144,25 @@ def test_orbit_refuses(change, message):
         orbit(PLANT, **change)
     with pytest.raises(ValueError, match="bounding sphere of radius"):
         orbit(SimpleNamespace(sphere=((0, 0, 0), 0.0)))
+
+
+def test_default_cameras_are_the_stated_circles():
+    assert len(default_cameras(PLANT)) == 8 * 2 * 3
+    cameras = default_cameras(
+        PLANT, azimuth_count=2, elevations_deg=(0, 90), distances=(1, 3), size=(8, 6)
+    )
+    # 1 and 3 radii of 2 m around (1, 2, 3), by distance, elevation, azimuth
+    expected = [
+        ([1, 2, 5], [1, 2, 1], [1, 4, 3], [1, 4, 3]),
+        ([1, 2, 9], [1, 2, -3], [1, 8, 3], [1, 8, 3]),
+    ]
+    np.testing.assert_allclose(
+        np.array([camera.eye for camera in cameras]).reshape(2, 4, 3), expected, atol=1e-12
+    )
+    assert {camera.size for camera in cameras} == {(8, 6)}
+    for nothing in ({"distances": ()}, {"elevations_deg": ()}):
+        with pytest.raises(ValueError, match="at least one number"):
+            default_cameras(PLANT, **nothing)
 
 
 def test_project_refuses_wrong_shapes():

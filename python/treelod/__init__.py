@@ -22,7 +22,7 @@ from treelod.errors import (
     StoreError,
     TreelodError,
 )
-from treelod.plants import Foliage, Lighting, Material, Mesh, Plant
+from treelod.plants import Foliage, Lighting, Material, Mesh, Plant, grow_plant
 from treelod.render import Frame, render, time_frames
 from treelod.scenes import Scene
 from treelod.techniques import FullMesh, Slicings
@@ -50,6 +50,7 @@ __all__ = [
     "StoreError",
     "TreelodError",
     "__version__",
+    "grow_plant",
     "metrics",
     "orbit",
     "render",

@@ -16,6 +16,8 @@ __all__ = [
     "circle_directions",
     "encode_png",
     "full_mesh",
+    "grow",
+    "preset_names",
     "slicings",
     "smooth_normals",
     "sphere_directions",
@@ -95,6 +97,8 @@ class Plant:
     @property
     def leaves(self) -> tuple[_U32, _F32, _F32, _F32]: ...
 
+def grow(preset: str, seed: int, leaf_count: int | None, lighting: _LightingFacts) -> Plant: ...
+def preset_names() -> list[str]: ...
 def smooth_normals(positions: _F32, triangles: _U32) -> _F32: ...
 def _panic_for_test() -> None: ...
 def _spin_for_test(
@@ -124,9 +128,7 @@ class Representation:
 
 @final
 class Scene:
-    def __new__(
-        cls, groups: Sequence[tuple[Representation, NDArray[np.float64]]]
-    ) -> Scene: ...
+    def __new__(cls, groups: Sequence[tuple[Representation, NDArray[np.float64]]]) -> Scene: ...
     @property
     def instance_count(self) -> int: ...
     @property

@@ -21,7 +21,23 @@ if TYPE_CHECKING:
 
     from treelod.plants import Plant
 
-__all__ = ["Camera", "orbit"]
+__all__ = [
+    "DEFAULT_AZIMUTH_COUNT",
+    "DEFAULT_DISTANCES",
+    "DEFAULT_ELEVATIONS_DEG",
+    "Camera",
+    "default_cameras",
+    "orbit",
+]
+
+DEFAULT_AZIMUTH_COUNT = 8
+"""Cameras on each circle of a comparison."""
+
+DEFAULT_ELEVATIONS_DEG = (0.0, 25.0)
+"""Heights of the circles of a comparison."""
+
+DEFAULT_DISTANCES = (2.5, 10.0, 40.0)
+"""Radii of the circles of a comparison, in radii of the plant's bounding sphere."""
 
 MAX_SIZE = 16384
 """Largest width or height of a picture in pixels."""
@@ -350,6 +366,51 @@ def orbit(
             )
         )
     return cameras
+
+
+def default_cameras(
+    plant: Plant,
+    *,
+    azimuth_count: int = DEFAULT_AZIMUTH_COUNT,
+    elevations_deg: Sequence[float] = DEFAULT_ELEVATIONS_DEG,
+    distances: Sequence[float] = DEFAULT_DISTANCES,
+    size: tuple[int, int] = (1024, 768),
+) -> list[Camera]:
+    """
+    Place the cameras of a comparison: circles at several heights and distances.
+
+    Parameters
+    ----------
+    plant : Plant
+        What they look at.
+    azimuth_count : int, default 8
+        Cameras on each circle, at least 1.
+    elevations_deg : sequence of float, default (0, 25)
+        Degrees above the horizon.
+    distances : sequence of float, default (2.5, 10, 40)
+        In radii of the plant's bounding sphere.
+    size : tuple of 2 ints, default (1024, 768)
+        Width and height in pixels.
+
+    Returns
+    -------
+    list of Camera
+        By distance, then elevation, then azimuth.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range, or if there is no elevation or distance.
+    """
+    if not len(elevations_deg) or not len(distances):
+        msg = "elevations_deg and distances must each hold at least one number"
+        raise ValueError(msg)
+    return [
+        camera
+        for distance in distances
+        for elevation in elevations_deg
+        for camera in orbit(plant, azimuth_count, elevation, distance, size)
+    ]
 
 
 def _vector(name: str, value: ArrayLike) -> Vector:

@@ -5,6 +5,7 @@ The arrays live in the Rust core. Each array that is read here is copied out onc
 read-only: a plant never changes, and everything built from it relies on that.
 """
 
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -15,10 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from treelod import _core
 
-__all__ = ["Foliage", "Lighting", "Material", "Mesh", "Plant"]
+__all__ = ["PRESETS", "Foliage", "Lighting", "Material", "Mesh", "Plant", "grow_plant"]
 
 Vec3 = tuple[float, float, float]
 Wrap = Literal["repeat", "mirror", "clamp"]
+
+PRESETS: tuple[str, ...] = tuple(_core.preset_names())
+"""Plants that `grow_plant` knows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -345,6 +349,72 @@ class Plant:
 
     def __repr__(self) -> str:
         return f"<Plant {self.name!r}: {self.triangle_count} triangles>"
+
+
+def grow_plant(
+    preset: str,
+    *,
+    seed: int = 1,
+    leaf_count: int | None = None,
+    lighting: Lighting | None = None,
+) -> Plant:
+    """
+    Grow a plant: the same one for the same arguments, on every machine.
+
+    Parameters
+    ----------
+    preset : str
+        One of `PRESETS`: ``"chestnut"``, 16 m, 11,291 leaves of 10 triangles and about 46,000
+        triangles of wood; ``"broadleaf"``, 12 m, 20,376 quad leaves and about 47,700 triangles of
+        wood.
+    seed : int, default 1
+        In ``0..2**64 - 1``. Another seed gives another plant with the same counts; only the wood's
+        may differ, by at most 1 %.
+    leaf_count : int, optional
+        In ``1..5_000_000``, met exactly; the wood stays the same. Default: the preset's. Leaves in
+        excess of the preset's number are smaller, so that the leaf area stays the preset's.
+    lighting : Lighting, optional
+        Default: ``Lighting()``.
+
+    Returns
+    -------
+    Plant
+        In metres, y up, the foot of the trunk at the origin; materials ``wood`` and ``leaves``
+        without textures.
+
+    Raises
+    ------
+    ValueError
+        If `preset` is unknown (the message lists all), `seed` or `leaf_count` is out of range, or
+        the lighting is.
+
+    Notes
+    -----
+    Stems bend, fork and bear side branches after Weber and Penn [1]_; the crown's outline, the
+    leaves' number and the wood's are given instead of following from the branches' numbers.
+
+    References
+    ----------
+    .. [1] J. Weber and J. Penn. Creation and rendering of realistic trees. SIGGRAPH 1995.
+
+    Examples
+    --------
+    >>> plant = grow_plant("chestnut", leaf_count=500)
+    >>> plant.foliage.leaf_count, len(plant.foliage.triangles)
+    (500, 5000)
+    """
+    seed = operator.index(seed)
+    if not 0 <= seed < 2**64:
+        msg = f"seed must be in [0, 2**64 - 1], got {seed}"
+        raise ValueError(msg)
+    if leaf_count is not None:
+        leaf_count = operator.index(leaf_count)
+        # what does not even fit the core's integers; the limit itself is the core's
+        if not 0 <= leaf_count < 2**63:
+            msg = f"leaf_count must be at least 1 and at most 5000000, got {leaf_count}"
+            raise ValueError(msg)
+    facts = (lighting or Lighting())._facts()
+    return Plant(_core.grow(preset, seed, leaf_count, facts))
 
 
 Scalar = TypeVar("Scalar", bound=np.generic)

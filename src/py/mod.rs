@@ -5,6 +5,7 @@
 //! `python/treelod/errors.py`, by the one conversion below.
 
 mod arrays;
+mod grow;
 mod lod;
 mod plant;
 mod png;
@@ -59,6 +60,8 @@ impl From<LodError> for PyErr {
 /// The compiled part of treelod. Its face is the `treelod` package.
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::grow::{grow, preset_names};
     #[pymodule_export]
     use super::lod::{Representation, circle_directions, full_mesh, slicings, sphere_directions};
     #[pymodule_export]

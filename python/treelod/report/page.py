@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from treelod.results import Comparison, Picture
 
-__all__ = ["write_report"]
+__all__ = ["check_folder", "write_report"]
 
 _REASONS = {
     "near": "Near",
@@ -82,7 +82,9 @@ def write_report(comparison: Comparison, directory: str | os.PathLike[str]) -> P
     OSError
         If a file cannot be written.
     """
-    folder = _made_folder(Path(directory))
+    folder = Path(directory)
+    check_folder(folder)
+    folder.mkdir(parents=True, exist_ok=True)
     table = comparison.table()
     for name in ("plots", "pictures"):
         (folder / name).mkdir(exist_ok=True)
@@ -128,13 +130,25 @@ def write_report(comparison: Comparison, directory: str | os.PathLike[str]) -> P
     return path
 
 
-def _made_folder(folder: Path) -> Path:
+def check_folder(directory: str | os.PathLike[str]) -> None:
+    """
+    Refuse a folder that a report cannot be written to, before minutes of work for it.
+
+    Parameters
+    ----------
+    directory : path-like
+        As for `write_report`; nothing is made.
+
+    Raises
+    ------
+    NotADirectoryError
+        If it, or a part of its path, is a file.
+    """
+    folder = Path(directory)
     for part in (folder, *folder.parents):
         if part.exists() and not part.is_dir():
             msg = f"cannot write the report to {folder}: {part} is a file"
             raise NotADirectoryError(msg)
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
 
 
 def _template() -> jinja2.Template:

@@ -4,7 +4,7 @@
 //! up, with the trunk's foot on the ground at the origin. The wood depends on the preset and the
 //! seed only; the number of leaves is exact, whatever is asked for. Up to the preset's own number,
 //! leaves keep their size; more of them are smaller, so that leaf area and gaps stay.
-//! A chestnut takes a few milliseconds and about 1 kB a leaf.
+//! The presets take about 50 ms each on two cores; a million chestnut leaves 4 s and 1.4 GB.
 //!
 //! This work is based on:
 //! Jason Weber, Joseph Penn. Creation and Rendering of Realistic Trees. 1995
@@ -27,7 +27,7 @@ use crate::plant::mesh::MAX_ELEMENT_COUNT;
 use crate::plant::{AlphaMode, Branch, Lighting, Material, Part, Plant, Structure};
 use crate::texture::Sampler;
 
-/// Most leaves of a grown plant: about 5 GB for ten triangles a leaf.
+/// Most leaves of a grown plant: 7 GB while ten triangles a leaf are grown.
 pub const MAX_LEAF_COUNT: usize = 5_000_000;
 
 /// Names that [`grow`] takes.
@@ -138,17 +138,15 @@ mod tests {
         grow(preset, seed, leaf_count, Lighting::default()).expect("valid arguments")
     }
 
-    /// FNV-1a over everything that is drawn.
+    /// FNV-1a over everything that is grown; light is not.
     fn hash(plant: &Plant) -> u64 {
         let mut hash = 0xCBF2_9CE4_8422_2325_u64;
         for mesh in [&plant.wood, &plant.foliage.mesh] {
-            let arrays: [&[u8]; 7] = [
+            let arrays: [&[u8]; 5] = [
                 bytemuck::cast_slice(&mesh.positions),
                 bytemuck::cast_slice(&mesh.normals),
                 bytemuck::cast_slice(&mesh.uvs),
                 bytemuck::cast_slice(&mesh.base),
-                bytemuck::cast_slice(&mesh.front),
-                bytemuck::cast_slice(&mesh.back),
                 bytemuck::cast_slice(&mesh.triangles),
             ];
             for byte in arrays.into_iter().flatten() {
@@ -210,7 +208,7 @@ mod tests {
 
     /// Hashes of seed 1; a change of a preset or of the generator changes them and is no error.
     const FROZEN: [(&str, u64); 2] =
-        [("chestnut", 4_492_974_550_312_901_263), ("broadleaf", 9_232_523_760_506_825_656)];
+        [("chestnut", 4_616_867_401_176_138_518), ("broadleaf", 7_240_366_364_558_029_850)];
 
     #[test]
     fn arguments_are_checked_before_anything_is_allocated() {

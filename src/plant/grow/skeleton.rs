@@ -38,7 +38,7 @@ const FIRST_BRANCH: u64 = 1 << 32;
 const CUT: f64 = 0.92;
 const MAX_CUTS: usize = 16;
 
-/// A limb hangs no lower than this share of the height at which the lowest one begins.
+/// Branches that hang lower than this share of the height of the lowest limb's base are cut too.
 const LOWEST: f64 = 0.75;
 
 /// Depth of the hollows in the crown's outline as a share of its radius.
@@ -231,21 +231,22 @@ impl Grower<'_> {
         }
     }
 
-    /// Whether a limb or an arm of the trunk keeps inside the crown's outline, scaled by `room`.
+    /// Whether a stem does not hang below the crown, and a limb or an arm of the trunk keeps inside
+    /// the crown's outline, scaled by `room`.
     fn fits(&self, start: &Start, nodes: &[Node], room: f64) -> bool {
-        let arm = start.first_segment > 0;
-        if start.level > 1 || start.level == 0 && !arm {
+        if start.level == 0 && start.first_segment == 0 {
             return true;
         }
         let foot = self.species.levels[1].bare * self.height;
+        let reach = self.species.crown.radius * self.height * room;
         let inside = |position: DVec3| {
-            let r = (self.height - position.y) / (self.height - foot);
             if position.y < foot * LOWEST {
                 return false;
             }
-            let reach = self.species.crown.radius * self.height * room;
+            let r = (self.height - position.y) / (self.height - foot);
             let across = DVec3::new(position.x, 0.0, position.z).length();
-            r >= 0.0 && across <= reach * self.species.crown.limb_share(r.min(1.0))
+            start.level > 1
+                || r >= 0.0 && across <= reach * self.species.crown.limb_share(r.min(1.0))
         };
         nodes[1..].iter().all(|node| inside(node.position))
     }
