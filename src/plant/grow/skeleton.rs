@@ -39,7 +39,7 @@ const CUT: f64 = 0.92;
 const MAX_CUTS: usize = 16;
 
 /// Branches that hang lower than this share of the height of the lowest limb's base are cut too.
-const LOWEST: f64 = 0.75;
+const LOWEST: f64 = 0.95;
 
 /// Depth of the hollows in the crown's outline as a share of its radius.
 const OUTLINE_DEPTH: f64 = 0.1;
