@@ -112,13 +112,13 @@ pub enum Format {
 pub fn finish(image: &LinearImage, keep: Keep, format: Format) -> Result<Arc<Texture>, LodError> {
     let mut levels = mips::levels(dilated(image), keep);
     if format == Format::Rgba8 {
-        return Texture::new(levels);
+        return Ok(Texture::new(levels)?.decoded_ahead());
     }
     for level in &mut levels {
         level.texels.iter_mut().for_each(|texel| *texel = rgb5a1(*texel));
     }
     let texel_count: u64 = levels.iter().map(|level: &Image| level.texels.len() as u64).sum();
-    Texture::with_byte_count(levels, texel_count * 2)
+    Ok(Texture::with_byte_count(levels, texel_count * 2)?.decoded_ahead())
 }
 
 /// The nearest texel that five bits a colour and one of alpha can hold.

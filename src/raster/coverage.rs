@@ -31,12 +31,12 @@ pub(crate) fn covered<const S: usize>(
 #[inline]
 fn edge(shape: &Shape, from: usize) -> (i32, i32, i32) {
     let to = if from == 2 { 0 } else { from + 1 };
-    let dx = shape.x[to] - shape.x[from];
-    let dy = shape.y[to] - shape.y[from];
+    let dx = shape.x[to].wrapping_sub(shape.x[from]);
+    let dy = shape.y[to].wrapping_sub(shape.y[from]);
     // corners run clockwise with y down: inside is right of an edge that goes up, below one that
     // goes right
     let owns = dy < 0 || (dy == 0 && dx > 0);
-    (-dy, dx, i32::from(owns))
+    (dy.wrapping_neg(), dx, i32::from(owns))
 }
 
 /// A triangle under 64 pixels a side: every sum fits in i32.
@@ -47,35 +47,42 @@ fn triangle<const S: usize>(
     samples: &[SamplePosition; S],
     mut visit: impl FnMut(i32, i32, u32),
 ) {
+    // Nothing here can pass i32's range before the last pixel, see `flags::WIDE`; the wrapping
+    // operations only keep checks out of the loops.
     let mut at_row = [0_i32; 3];
     let mut step_x = [0_i32; 3];
     let mut step_y = [0_i32; 3];
     let mut offsets = [[0_i32; S]; 3];
     for k in 0..3 {
         let (a, b, owns) = edge(shape, k);
-        let at = a * (x0 * SUBPIXEL_COUNT - shape.x[k]) + b * (y0 * SUBPIXEL_COUNT - shape.y[k]);
+        let from_x = (x0 * SUBPIXEL_COUNT).wrapping_sub(shape.x[k]);
+        let from_y = (y0 * SUBPIXEL_COUNT).wrapping_sub(shape.y[k]);
+        let at = a.wrapping_mul(from_x).wrapping_add(b.wrapping_mul(from_y));
         // inside is where the value is not negative, also for edges that do not own their samples
-        at_row[k] = at + owns - 1;
-        step_x[k] = a * SUBPIXEL_COUNT;
-        step_y[k] = b * SUBPIXEL_COUNT;
+        at_row[k] = at.wrapping_add(owns - 1);
+        step_x[k] = a.wrapping_mul(SUBPIXEL_COUNT);
+        step_y[k] = b.wrapping_mul(SUBPIXEL_COUNT);
         for (offset, sample) in offsets[k].iter_mut().zip(samples) {
-            *offset = a * sample[0] + b * sample[1];
+            *offset = a.wrapping_mul(sample[0]).wrapping_add(b.wrapping_mul(sample[1]));
         }
     }
     for y in y0..=y1 {
         let mut at = at_row;
         for x in x0..=x1 {
-            let mut mask = 0;
+            let mut outside = [0_i32; S];
             for s in 0..S {
-                let outside =
-                    (at[0] + offsets[0][s]) | (at[1] + offsets[1][s]) | (at[2] + offsets[2][s]);
+                outside[s] = at[0].wrapping_add(offsets[0][s])
+                    | at[1].wrapping_add(offsets[1][s])
+                    | at[2].wrapping_add(offsets[2][s]);
+            }
+            let mut mask = 0;
+            for (s, outside) in outside.into_iter().enumerate() {
                 mask |= u32::from(outside >= 0) << s;
             }
             if mask != 0 {
                 visit(x, y, mask);
             }
             for k in 0..3 {
-                // may pass i32's range only after the last pixel
                 at[k] = at[k].wrapping_add(step_x[k]);
             }
         }

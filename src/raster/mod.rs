@@ -186,7 +186,7 @@ impl Renderer {
             for (number, batch) in batches.iter().enumerate() {
                 let units = set_up(units, batch, list, view, &grid, job)?;
                 stats.vertex_count += units.iter().map(|unit| unit.vertex_count).sum::<u64>();
-                let scene = Scene { list, view, units, grid, samples };
+                let scene = Scene::new(list, view, units, grid, samples, outputs);
                 let last = number + 1 == batches.len();
                 let fragments: Result<Vec<u64>, LodError> = targets
                     .par_iter_mut()
@@ -217,7 +217,7 @@ impl Renderer {
                 // nearest first: the batches again, last to first
                 for (number, batch) in batches.iter().enumerate().rev() {
                     let units = set_up(units, batch, list, view, &grid, job)?;
-                    let scene = Scene { list, view, units, grid, samples };
+                    let scene = Scene::new(list, view, units, grid, samples, outputs);
                     targets.par_iter_mut().enumerate().try_for_each(|(tile, target)| {
                         job.check()?;
                         let mut buffer = buffer_of(tile);

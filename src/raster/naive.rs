@@ -21,7 +21,8 @@ use crate::view::View;
 pub fn draw_naive(list: &DrawList, view: &View, sample_count: u32) -> Result<Frame, LodError> {
     list.check()?;
     let positions = samples::positions(sample_count)?;
-    let side = i32::try_from(view.width.max(view.height)).expect("at most 16384");
+    let side = view.width.max(view.height).next_power_of_two();
+    let side = i32::try_from(side).expect("at most 16384");
     let grid = Grid::new(view, side, 0..1, &positions);
     let units: Vec<Unit> = cut(list)
         .iter()
@@ -78,7 +79,7 @@ fn sample(list: &DrawList, view: &View, units: &[Unit], at: [i32; 2]) -> (Vec4, 
             let weigher = Weigher::new(view, &material, unit, shape);
             let lod = material.lod(&weigher, center);
             let alpha = material.alpha(&weigher, point, lod);
-            let source = material.shade(shape, &weigher, point, lod).color;
+            let source = material.shade(shape, &weigher, point, lod, [true, false, false])[0];
             let hides = match material.item.blend {
                 Blend::Opaque => true,
                 Blend::Test(cutoff) => alpha >= cutoff,

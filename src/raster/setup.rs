@@ -12,6 +12,7 @@ use glam::{DMat3, Mat3, Vec3};
 use crate::draw_list::{DrawList, Item, Primitive};
 use crate::raster::clip::{ClipSpace, clip_polygon};
 use crate::raster::samples::{SUBPIXEL_BITS, SUBPIXEL_COUNT, SamplePosition};
+use crate::texture::texture::floor_to_i32;
 use crate::view::View;
 
 /// Primitives a unit holds: enough to pay for its tile table, few enough to share among threads.
@@ -55,6 +56,8 @@ pub(crate) struct Shape {
     pub(crate) key: [f32; 3],
     pub(crate) key_range: [f32; 2],
     pub(crate) origin: [f32; 2],
+    /// Pixels of the picture that it can touch: x0, y0, x1, y1, ends inclusive.
+    pub(crate) pixels: [u16; 4],
     /// Indices into the unit's `vertices`, in the item's order of corners.
     pub(crate) vertices: [u32; 3],
     /// Index of the primitive in the item's index buffer.
@@ -90,8 +93,9 @@ pub(crate) struct Unit {
 pub(crate) struct Grid {
     pub(crate) width: i32,
     pub(crate) height: i32,
-    /// Pixels a tile's side.
+    /// Pixels a tile's side, a power of two.
     pub(crate) tile: i32,
+    tile_bits: u32,
     pub(crate) columns: i32,
     /// Tile rows drawn, end exclusive.
     pub(crate) first_row: i32,
@@ -119,6 +123,7 @@ impl Grid {
             width,
             height,
             tile,
+            tile_bits: tile.trailing_zeros(),
             columns: (width + tile - 1) / tile,
             first_row: rows.start,
             last_row: rows.end,
@@ -129,6 +134,25 @@ impl Grid {
 
     pub(crate) fn tile_count(&self) -> usize {
         usize::try_from(self.columns * (self.last_row - self.first_row)).expect("not negative")
+    }
+
+    fn column_count(&self) -> usize {
+        usize::try_from(self.columns).expect("not negative")
+    }
+
+    /// Rows of tiles that a shape touches, counted from the first drawn.
+    #[inline]
+    fn tile_rows(&self, shape: &Shape) -> std::ops::RangeInclusive<usize> {
+        let first = usize::try_from(self.first_row).expect("not negative");
+        let [_, y0, _, y1] = shape.pixels;
+        (usize::from(y0) >> self.tile_bits) - first..=(usize::from(y1) >> self.tile_bits) - first
+    }
+
+    /// Columns of tiles that a shape touches.
+    #[inline]
+    fn tile_columns(&self, shape: &Shape) -> std::ops::RangeInclusive<usize> {
+        let [x0, _, x1, _] = shape.pixels;
+        usize::from(x0) >> self.tile_bits..=usize::from(x1) >> self.tile_bits
     }
 
     /// Pixel box (x0, y0, x1, y1; ends exclusive) of a tile.
@@ -147,26 +171,18 @@ impl Grid {
         (first, last)
     }
 
-    /// Pixel box (x0, y0, x1, y1; ends inclusive) of a shape inside the drawn rows.
+    /// Pixels (x0, y0, x1, y1; ends inclusive) of the drawn rows with samples in a box of sub-pixel
+    /// steps (ends inclusive).
     #[inline]
-    pub(crate) fn pixel_box(&self, shape: &Shape) -> Option<[i32; 4]> {
-        let (low_x, high_x, low_y, high_y) = if shape.flags & flags::RECT == 0 {
-            let (x, y) = (&shape.x, &shape.y);
-            (
-                x[0].min(x[1]).min(x[2]),
-                x[0].max(x[1]).max(x[2]),
-                y[0].min(y[1]).min(y[2]),
-                y[0].max(y[1]).max(y[2]),
-            )
-        } else {
-            (shape.x[0], shape.x[1], shape.y[0], shape.y[1])
-        };
-        let (x0, x1) = self.pixels(0, low_x, high_x);
-        let (y0, y1) = self.pixels(1, low_y, high_y);
+    fn pixel_box(&self, low: [i32; 2], high: [i32; 2]) -> Option<[u16; 4]> {
+        let (x0, x1) = self.pixels(0, low[0], high[0]);
+        let (y0, y1) = self.pixels(1, low[1], high[1]);
         let (x0, x1) = (x0.max(0), x1.min(self.width - 1));
         let y0 = y0.max(self.first_row * self.tile);
         let y1 = y1.min(self.height.min(self.last_row * self.tile) - 1);
-        (x0 <= x1 && y0 <= y1).then_some([x0, y0, x1, y1])
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 16384")]
+        let pixels = [x0 as u16, y0 as u16, x1 as u16, y1 as u16];
+        (x0 <= x1 && y0 <= y1).then_some(pixels)
     }
 }
 
@@ -246,9 +262,7 @@ impl Placing {
 /// Nearest sub-pixel step; half a step rounds up.
 #[inline]
 fn snap(pixels: f32) -> i32 {
-    #[expect(clippy::cast_possible_truncation, reason = "within the guard band")]
-    let step = (pixels * SUBPIXEL_COUNT as f32 + 0.5).floor() as i32;
-    step
+    floor_to_i32(pixels * SUBPIXEL_COUNT as f32 + 0.5)
 }
 
 /// What the primitives of one segment have in common while they are set up.
@@ -444,22 +458,21 @@ impl Unit {
             if low[0] > high[0] || low[1] > high[1] {
                 continue;
             }
+            let Some(pixels) = context.grid.pixel_box(low, high) else { continue };
             let side = placing.side_seen(local, buffers.normals[source as usize]);
-            let made = Shape {
+            self.shapes.push(Shape {
                 x: [low[0], high[0], 0],
                 y: [low[1], high[1], 0],
                 key: [vertex.key, 0.0, 0.0],
                 key_range: [vertex.key; 2],
                 origin: [vertex.x, vertex.y],
+                pixels,
                 vertices: [u32::try_from(self.vertices.len()).expect("a unit is small"); 3],
                 primitive,
                 segment: context.segment,
                 flags: flags::RECT | side,
-            };
-            if context.grid.pixel_box(&made).is_some() {
-                self.vertices.push(vertex);
-                self.shapes.push(made);
-            }
+            });
+            self.vertices.push(vertex);
         }
     }
 
@@ -469,17 +482,12 @@ impl Unit {
         let tile_count = grid.tile_count();
         tile_offsets.clear();
         tile_offsets.resize(tile_count + 1, 0);
-        let for_each_tile = |shape: &Shape, visit: &mut dyn FnMut(usize)| {
-            let [x0, y0, x1, y1] = grid.pixel_box(shape).expect("culled otherwise");
-            for row in y0 / grid.tile..=y1 / grid.tile {
-                for column in x0 / grid.tile..=x1 / grid.tile {
-                    let tile = (row - grid.first_row) * grid.columns + column;
-                    visit(usize::try_from(tile).expect("inside the grid"));
+        for shape in shapes.iter() {
+            for row in grid.tile_rows(shape) {
+                for column in grid.tile_columns(shape) {
+                    tile_offsets[row * grid.column_count() + column + 1] += 1;
                 }
             }
-        };
-        for shape in shapes.iter() {
-            for_each_tile(shape, &mut |tile| tile_offsets[tile + 1] += 1);
         }
         for tile in 0..tile_count {
             tile_offsets[tile + 1] += tile_offsets[tile];
@@ -487,11 +495,14 @@ impl Unit {
         tile_shapes.clear();
         tile_shapes.resize(tile_offsets[tile_count] as usize, 0);
         for (index, shape) in (0_u32..).zip(shapes.iter()) {
-            // offsets run ahead while filling and are set back below
-            for_each_tile(shape, &mut |tile| {
-                tile_shapes[tile_offsets[tile] as usize] = index;
-                tile_offsets[tile] += 1;
-            });
+            for row in grid.tile_rows(shape) {
+                for column in grid.tile_columns(shape) {
+                    // offsets run ahead while filling and are set back below
+                    let next = &mut tile_offsets[row * grid.column_count() + column];
+                    tile_shapes[*next as usize] = index;
+                    *next += 1;
+                }
+            }
         }
         tile_offsets.copy_within(0..tile_count, 1);
         tile_offsets[0] = 0;
@@ -532,9 +543,11 @@ fn shape(
     } else {
         shape_flags ^= flags::FRONT;
     }
-    let extent = |c: [i32; 3]| c[0].max(c[1]).max(c[2]) - c[0].min(c[1]).min(c[2]);
+    let low = [x[0].min(x[1]).min(x[2]), y[0].min(y[1]).min(y[2])];
+    let high = [x[0].max(x[1]).max(x[2]), y[0].max(y[1]).max(y[2])];
+    let pixels = grid.pixel_box(low, high)?;
     // 2^14 steps are 64 pixels: products of two such distances, and sums of two products, fit in i32
-    if extent(x) >= 1 << 14 || extent(y) >= 1 << 14 {
+    if high[0] - low[0] >= 1 << 14 || high[1] - low[1] >= 1 << 14 {
         shape_flags |= flags::WIDE;
     }
     let [[x0, y0, k0], [x1, y1, k1], [x2, y2, k2]] = points;
@@ -542,18 +555,18 @@ fn shape(
     let slope_x = ((k1 - k0) * (y2 - y0) - (k2 - k0) * (y1 - y0)) / area;
     let slope_y = ((k2 - k0) * (x1 - x0) - (k1 - k0) * (x2 - x0)) / area;
     let sloped = slope_x.is_finite() && slope_y.is_finite();
-    let made = Shape {
+    Some(Shape {
         x,
         y,
         key: if sloped { [k0, slope_x, slope_y] } else { [k0, 0.0, 0.0] },
         key_range: [k0.min(k1).min(k2), k0.max(k1).max(k2)],
         origin: [x0, y0],
+        pixels,
         vertices,
         primitive,
         segment,
         flags: shape_flags,
-    };
-    grid.pixel_box(&made).is_some().then_some(made)
+    })
 }
 
 /// Units' segments: the list's primitives in order, cut into pieces of a unit's size.

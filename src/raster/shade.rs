@@ -20,21 +20,6 @@ pub(crate) struct Material<'a> {
     indices: &'a Buffers,
 }
 
-/// A fragment: premultiplied linear colour, and the extra outputs.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Shaded {
-    pub(crate) color: Vec4,
-    pub(crate) albedo: Vec4,
-    pub(crate) normal: Vec4,
-}
-
-impl Shaded {
-    /// In the order of a tile's layers.
-    pub(crate) fn layers(&self) -> [Vec4; 3] {
-        [self.color, self.albedo, self.normal]
-    }
-}
-
 impl<'a> Material<'a> {
     pub(crate) fn new(list: &'a DrawList, unit: &Unit, shape: &Shape) -> Self {
         let segment = &unit.segments[shape.segment as usize];
@@ -105,42 +90,57 @@ impl<'a> Material<'a> {
         0.5 * log2(longest)
     }
 
-    /// Colour and extra outputs at a point.
-    pub(crate) fn shade(&self, shape: &Shape, weigher: &Weigher, at: Vec2, lod: f32) -> Shaded {
+    /// Premultiplied linear colour, albedo and normal at a point; of the latter two what is wanted.
+    #[inline]
+    pub(crate) fn shade(
+        &self,
+        shape: &Shape,
+        weigher: &Weigher,
+        at: Vec2,
+        lod: f32,
+        [_, want_albedo, want_normal]: [bool; 3],
+    ) -> [Vec4; 3] {
         let weights = weigher.at(at);
         let sources = weigher.sources;
         let front = shape.flags & flags::FRONT != 0;
-        let side = if front { &self.buffers.front } else { &self.buffers.back };
-        let mut lit = self.mix(side, sources, weights);
-        let base = self.mix(&self.buffers.base, sources, weights);
-        let mut albedo = base.xyz();
-        let mut alpha = base.w;
+        let tint = self.instance.tint;
+        let mut alpha = 1.0;
+        let mut texel = Vec3::ONE;
         if let Some((texture, sampler)) = self.texture {
             let uv = self.mix(&self.buffers.uvs, sources, weights);
-            let texel = texture.sample(sampler, uv, lod);
-            if texel.w > 0.0 {
-                let straight = texel.xyz() * (1.0 / texel.w);
-                lit *= straight;
-                albedo *= straight;
+            let sampled = texture.sample(sampler, uv, lod);
+            if sampled.w == 0.0 {
+                // nothing to see where it is blended; black where its alpha does not count
+                texel = Vec3::ZERO;
             } else {
-                lit = Vec3::ZERO;
-                albedo = Vec3::ZERO;
+                texel = sampled.xyz() * (1.0 / sampled.w);
             }
-            alpha *= texel.w;
+            alpha = sampled.w;
         }
-        let tint = self.instance.tint;
-        alpha = match self.item.blend {
-            Blend::Over => (alpha * tint.w).clamp(0.0, 1.0),
-            Blend::Opaque | Blend::Test(_) => 1.0,
-        };
-        let local = self.mix(&self.buffers.normals, sources, weights);
-        let normal = (self.instance.linear * local).normalize_or_zero();
-        let normal = if front { normal } else { -normal };
-        Shaded {
-            color: (lit * tint.xyz() * alpha).extend(alpha),
-            albedo: (albedo * tint.xyz() * alpha).extend(alpha),
-            normal: (normal * alpha).extend(alpha),
+        let blended = self.item.blend == Blend::Over;
+        if blended {
+            if alpha == 0.0 {
+                return [Vec4::ZERO; 3];
+            }
+            let base = self.mix(&self.buffers.base, sources, weights).w;
+            alpha = (alpha * base * tint.w).clamp(0.0, 1.0);
+        } else {
+            alpha = 1.0;
         }
+        let side = if front { &self.buffers.front } else { &self.buffers.back };
+        let lit = self.mix(side, sources, weights) * texel * tint.xyz();
+        let mut shaded = [(lit * alpha).extend(alpha), Vec4::ZERO, Vec4::ZERO];
+        if want_albedo {
+            let base = self.mix(&self.buffers.base, sources, weights).xyz();
+            shaded[1] = (base * texel * tint.xyz() * alpha).extend(alpha);
+        }
+        if want_normal {
+            let local = self.mix(&self.buffers.normals, sources, weights);
+            let normal = (self.instance.linear * local).normalize_or_zero();
+            let normal = if front { normal } else { -normal };
+            shaded[2] = (normal * alpha).extend(alpha);
+        }
+        shaded
     }
 }
 

@@ -11,7 +11,7 @@ use crate::raster::coverage::covered;
 use crate::raster::frame::{EMPTY_ID, Outputs};
 use crate::raster::samples::{SUBPIXEL_COUNT, SamplePosition};
 use crate::raster::setup::{Grid, Shape, Unit};
-use crate::raster::shade::{Material, Shaded, Weigher};
+use crate::raster::shade::{Material, Weigher};
 use crate::view::View;
 
 /// No shape waits to be coloured in this sample.
@@ -30,6 +30,10 @@ pub(crate) struct Scene<'a, const S: usize> {
     pub(crate) units: &'a [Unit],
     pub(crate) grid: Grid,
     pub(crate) samples: [SamplePosition; S],
+    /// The same in pixels.
+    pub(crate) offsets: [Vec2; S],
+    /// Which of colour, albedo and normal are wanted.
+    pub(crate) layers: [bool; 3],
 }
 
 /// Samples of one tile; index = pixel in the tile * S + sample.
@@ -92,59 +96,108 @@ fn bits(mut mask: u32) -> impl Iterator<Item = usize> {
     })
 }
 
-impl<const S: usize> Scene<'_, S> {
+impl<'a, const S: usize> Scene<'a, S> {
+    pub(crate) fn new(
+        list: &'a DrawList,
+        view: &'a View,
+        units: &'a [Unit],
+        grid: Grid,
+        samples: [SamplePosition; S],
+        outputs: Outputs,
+    ) -> Self {
+        let step = 1.0 / SUBPIXEL_COUNT as f32;
+        let offsets = samples.map(|[x, y]| Vec2::new(x as f32, y as f32) * step);
+        let layers = [outputs.color, outputs.albedo, outputs.normal];
+        Self { list, view, units, grid, samples, offsets, layers }
+    }
+
     /// Where a sample of a pixel lies on the picture.
     #[inline]
     fn point(&self, x: i32, y: i32, sample: usize) -> Vec2 {
-        let [sx, sy] = self.samples[sample];
-        let step = 1.0 / SUBPIXEL_COUNT as f32;
-        Vec2::new(x as f32 + sx as f32 * step, y as f32 + sy as f32 * step)
+        Vec2::new(x as f32, y as f32) + self.offsets[sample]
     }
 
     /// Calls `visit` for each pixel of the tile in which the shape is nearest at some sample.
     #[inline]
     fn visible(
         &self,
-        material: &Material<'_>,
+        style: &Style<'_>,
         shape: &Shape,
         tile_box: [i32; 4],
         keys: &mut [f32],
         fragment_count: &mut u64,
         mut visit: impl FnMut(&Pixel<'_, S>, &mut [f32]),
     ) {
-        let Some([x0, y0, x1, y1]) = self.grid.pixel_box(shape) else { return };
+        let [x0, y0, x1, y1] = shape.pixels.map(i32::from);
         let pixels = [
             x0.max(tile_box[0]),
             y0.max(tile_box[1]),
             x1.min(tile_box[2] - 1),
             y1.min(tile_box[3] - 1),
         ];
-        let (lowest, highest) = slab_keys(self.view, material.item.slab);
+        let (lowest, highest) = style.slab_keys;
         let [at_origin, slope_x, slope_y] = shape.key;
         let [farthest, nearest] = shape.key_range;
-        let dithered = material.instance.fade != 1.0;
+        let mut count = 0;
         covered(shape, pixels, &self.samples, |x, y, mask| {
-            *fragment_count += 1;
+            count += 1;
             let first = pixel_index(x - tile_box[0], y - tile_box[1], self.grid.tile) * S;
             let stored: &[f32; S] = keys[first..first + S].try_into().expect("S samples");
+            let corner = Vec2::new(x as f32, y as f32) - Vec2::from(shape.origin);
             let mut shape_keys = [0.0_f32; S];
             let mut front = 0;
             for s in 0..S {
-                let from = self.point(x, y, s) - Vec2::from(shape.origin);
+                let from = corner + self.offsets[s];
                 let key = at_origin + (slope_x * from.x + slope_y * from.y);
                 let key = key.max(farthest).min(nearest);
                 shape_keys[s] = key;
-                let seen = key > stored[s] && key > lowest && key <= highest;
+                let seen = (key > stored[s]) & (key > lowest) & (key <= highest);
                 front |= u32::from(seen) << s;
             }
             let mut mask = mask & front;
-            if dithered {
-                mask &= dither_mask(x, y, S, material.instance.seed, material.instance.fade);
+            if style.dithered {
+                let instance = style.material.instance;
+                mask &= dither_mask(x, y, S, instance.seed, instance.fade);
             }
             if mask != 0 {
                 visit(&Pixel { x, y, first, mask, keys: &shape_keys }, keys);
             }
         });
+        *fragment_count += count;
+    }
+}
+
+/// What the shapes of one segment share, looked up once.
+struct Style<'a> {
+    unit: u32,
+    segment: u32,
+    material: Material<'a>,
+    slab_keys: (f32, f32),
+    dithered: bool,
+}
+
+impl<'a> Style<'a> {
+    /// The style of a shape: the one at hand if the shape is of the same segment.
+    #[inline]
+    fn of<const S: usize>(
+        scene: &Scene<'a, S>,
+        unit: u32,
+        shape: &Shape,
+        at_hand: Option<Self>,
+    ) -> Self {
+        match at_hand {
+            Some(style) if style.unit == unit && style.segment == shape.segment => style,
+            _ => {
+                let material = Material::new(scene.list, &scene.units[unit as usize], shape);
+                Self {
+                    unit,
+                    segment: shape.segment,
+                    slab_keys: slab_keys(scene.view, material.item.slab),
+                    dithered: material.instance.fade != 1.0,
+                    material,
+                }
+            }
+        }
     }
 }
 
@@ -217,29 +270,31 @@ impl TileBuffer {
 
     /// Draws the batch's shapes of a tile in order.
     pub(crate) fn draw<const S: usize>(&mut self, scene: &Scene<'_, S>, tile: usize) {
+        let tile_box = scene.grid.tile_box(tile);
+        let mut at_hand = None;
         for (unit_index, unit) in (0_u32..).zip(scene.units) {
             for &index in unit.shapes_in(tile) {
                 let shape = &unit.shapes[index as usize];
-                let material = Material::new(scene.list, unit, shape);
+                let style = Style::of(scene, unit_index, shape, at_hand.take());
                 let reference = unit_index << SHAPE_BITS | index;
-                match material.item.blend {
+                match style.material.item.blend {
                     Blend::Opaque => {
                         self.any_waiting = true;
-                        self.draw_opaque(scene, tile, &material, shape, reference);
+                        self.draw_opaque(scene, tile_box, &style, shape, reference);
                     }
                     Blend::Test(cutoff) => {
                         self.any_waiting = true;
-                        let weigher = Weigher::new(scene.view, &material, unit, shape);
-                        self.draw_tested(
-                            scene, tile, &material, &weigher, shape, reference, cutoff,
-                        );
+                        let weigher = Weigher::new(scene.view, &style.material, unit, shape);
+                        let test = (&weigher, cutoff);
+                        self.draw_tested(scene, tile_box, &style, test, shape, reference);
                     }
                     Blend::Over => {
                         self.color_waiting(scene, tile);
-                        let weigher = Weigher::new(scene.view, &material, unit, shape);
-                        self.draw_over(scene, tile, &material, &weigher, shape);
+                        let weigher = Weigher::new(scene.view, &style.material, unit, shape);
+                        self.draw_over(scene, tile_box, &style, &weigher, shape);
                     }
                 }
+                at_hand = Some(style);
             }
         }
     }
@@ -247,39 +302,38 @@ impl TileBuffer {
     fn draw_opaque<const S: usize>(
         &mut self,
         scene: &Scene<'_, S>,
-        tile: usize,
-        material: &Material<'_>,
+        tile_box: [i32; 4],
+        style: &Style<'_>,
         shape: &Shape,
         reference: u32,
     ) {
         let Self { keys, waiting, fragment_count, .. } = self;
-        let tile_box = scene.grid.tile_box(tile);
-        let write = material.item.depth_write;
-        scene.visible(material, shape, tile_box, keys, fragment_count, |pixel, keys| {
-            for s in pixel.samples() {
-                if write {
-                    keys[pixel.first + s] = pixel.keys[s];
+        let write = style.material.item.depth_write;
+        scene.visible(style, shape, tile_box, keys, fragment_count, |pixel, keys| {
+            for s in 0..S {
+                if pixel.mask >> s & 1 == 1 {
+                    if write {
+                        keys[pixel.first + s] = pixel.keys[s];
+                    }
+                    waiting[pixel.first + s] = reference;
                 }
-                waiting[pixel.first + s] = reference;
             }
         });
     }
 
-    #[expect(clippy::too_many_arguments, reason = "a shape with its state, taken apart once")]
     fn draw_tested<const S: usize>(
         &mut self,
         scene: &Scene<'_, S>,
-        tile: usize,
-        material: &Material<'_>,
-        weigher: &Weigher,
+        tile_box: [i32; 4],
+        style: &Style<'_>,
+        (weigher, cutoff): (&Weigher, f32),
         shape: &Shape,
         reference: u32,
-        cutoff: f32,
     ) {
         let Self { keys, waiting, fragment_count, .. } = self;
-        let tile_box = scene.grid.tile_box(tile);
+        let material = &style.material;
         let write = material.item.depth_write;
-        scene.visible(material, shape, tile_box, keys, fragment_count, |pixel, keys| {
+        scene.visible(style, shape, tile_box, keys, fragment_count, |pixel, keys| {
             let lod = material.lod(weigher, pixel.center());
             for s in pixel.samples() {
                 let point = scene.point(pixel.x, pixel.y, s);
@@ -296,25 +350,26 @@ impl TileBuffer {
     fn draw_over<const S: usize>(
         &mut self,
         scene: &Scene<'_, S>,
-        tile: usize,
-        material: &Material<'_>,
+        tile_box: [i32; 4],
+        style: &Style<'_>,
         weigher: &Weigher,
         shape: &Shape,
     ) {
         let Self { keys, layers, fragment_count, .. } = self;
-        let tile_box = scene.grid.tile_box(tile);
+        let material = &style.material;
         let write = material.item.depth_write;
-        scene.visible(material, shape, tile_box, keys, fragment_count, |pixel, keys| {
+        scene.visible(style, shape, tile_box, keys, fragment_count, |pixel, keys| {
             let lod = material.lod(weigher, pixel.center());
             for s in pixel.samples() {
                 let at = pixel.first + s;
-                let shaded = material.shade(shape, weigher, scene.point(pixel.x, pixel.y, s), lod);
-                if shaded.color.w == 0.0 {
+                let point = scene.point(pixel.x, pixel.y, s);
+                let shaded = material.shade(shape, weigher, point, lod, scene.layers);
+                if shaded[0].w == 0.0 {
                     continue;
                 }
-                for (layer, source) in layers.iter_mut().zip(shaded.layers()) {
-                    if let Some(below) = layer.get_mut(at) {
-                        *below = source + *below * (1.0 - source.w);
+                for ((layer, source), wanted) in layers.iter_mut().zip(shaded).zip(scene.layers) {
+                    if wanted {
+                        layer[at] = source + layer[at] * (1.0 - source.w);
                     }
                 }
                 if write {
@@ -330,14 +385,15 @@ impl TileBuffer {
             return;
         }
         let [x0, y0, x1, y1] = scene.grid.tile_box(tile);
+        let mut last = None;
         for y in y0..y1 {
             for x in x0..x1 {
                 let first = pixel_index(x - x0, y - y0, scene.grid.tile) * S;
                 let references: [u32; S] =
                     self.waiting[first..first + S].try_into().expect("S samples");
-                for_each_shaded(scene, x, y, &references, |mask, shaded, id| {
+                for_each_shaded(scene, x, y, &references, &mut last, |mask, shaded, id| {
                     for s in bits(mask) {
-                        for (layer, source) in self.layers.iter_mut().zip(shaded.layers()) {
+                        for (layer, source) in self.layers.iter_mut().zip(shaded) {
                             if let Some(stored) = layer.get_mut(first + s) {
                                 *stored = source;
                             }
@@ -359,16 +415,21 @@ impl TileBuffer {
         let Self { keys, ids, opacity, .. } = self;
         let tile_box = scene.grid.tile_box(tile);
         let mut uncounted = 0;
-        for unit in scene.units.iter().rev() {
+        let mut at_hand = None;
+        let unit_count = u32::try_from(scene.units.len()).expect("few units");
+        for unit_index in (0..unit_count).rev() {
+            let unit = &scene.units[unit_index as usize];
             for &index in unit.shapes_in(tile).iter().rev() {
                 let shape = &unit.shapes[index as usize];
-                let material = Material::new(scene.list, unit, shape);
+                let style = Style::of(scene, unit_index, shape, at_hand.take());
+                let style = at_hand.insert(style);
+                let material = &style.material;
                 if material.item.blend != Blend::Over {
                     continue;
                 }
-                let weigher = Weigher::new(scene.view, &material, unit, shape);
+                let weigher = Weigher::new(scene.view, material, unit, shape);
                 let id = material.source_id(shape);
-                scene.visible(&material, shape, tile_box, keys, &mut uncounted, |pixel, keys| {
+                scene.visible(style, shape, tile_box, keys, &mut uncounted, |pixel, keys| {
                     let lod = material.lod(&weigher, pixel.center());
                     for s in pixel.samples() {
                         let at = pixel.first + s;
@@ -399,6 +460,7 @@ impl TileBuffer {
     ) {
         let [x0, y0, x1, y1] = scene.grid.tile_box(tile);
         let layered = self.layers.iter().any(|layer| !layer.is_empty()) || !self.ids.is_empty();
+        let mut last = None;
         for y in y0..y1 {
             let row = usize::try_from(y - y0).expect("inside the tile");
             for x in x0..x1 {
@@ -418,15 +480,22 @@ impl TileBuffer {
                 } else {
                     let references: [u32; S] =
                         self.waiting[first..first + S].try_into().expect("S samples");
-                    for_each_shaded(scene, x, y, &references, |mask, shaded, shape_id| {
-                        let count = mask.count_ones() as f32;
-                        for (sum, source) in sums.iter_mut().zip(shaded.layers()) {
-                            *sum += source * count;
-                        }
-                        if mask >> nearest & 1 == 1 {
-                            id = shape_id;
-                        }
-                    });
+                    for_each_shaded(
+                        scene,
+                        x,
+                        y,
+                        &references,
+                        &mut last,
+                        |mask, shaded, shape_id| {
+                            let count = mask.count_ones() as f32;
+                            for (sum, source) in sums.iter_mut().zip(shaded) {
+                                *sum += source * count;
+                            }
+                            if mask >> nearest & 1 == 1 {
+                                id = shape_id;
+                            }
+                        },
+                    );
                 }
                 let wanted = [&mut target.color, &mut target.albedo, &mut target.normal];
                 for (rows, sum) in wanted.into_iter().zip(sums) {
@@ -452,14 +521,36 @@ impl TileBuffer {
     }
 }
 
-/// Colours a pixel's waiting samples: `visit(mask, colour, id)` once for each shape, or once a sample
-/// where a texture may change between samples.
-fn for_each_shaded<const S: usize>(
-    scene: &Scene<'_, S>,
+/// The shape that was shaded last: its neighbours in the picture are often of the same one.
+struct LastShaded<'a> {
+    reference: u32,
+    shape: &'a Shape,
+    material: Material<'a>,
+    weigher: Weigher,
+    id: u32,
+}
+
+impl<'a> LastShaded<'a> {
+    fn new<const S: usize>(scene: &Scene<'a, S>, reference: u32) -> Self {
+        let unit = &scene.units[(reference >> SHAPE_BITS) as usize];
+        let shape = &unit.shapes[(reference & ((1 << SHAPE_BITS) - 1)) as usize];
+        let material = Material::new(scene.list, unit, shape);
+        let weigher = Weigher::new(scene.view, &material, unit, shape);
+        let id = material.source_id(shape);
+        Self { reference, shape, material, weigher, id }
+    }
+}
+
+/// Colours a pixel's waiting samples: `visit(mask, colours, id)` once for each shape, or once a
+/// sample where a texture may change between samples.
+#[inline]
+fn for_each_shaded<'a, const S: usize>(
+    scene: &Scene<'a, S>,
     x: i32,
     y: i32,
     references: &[u32; S],
-    mut visit: impl FnMut(u32, &Shaded, u32),
+    last: &mut Option<LastShaded<'a>>,
+    mut visit: impl FnMut(u32, [Vec4; 3], u32),
 ) {
     let mut left = 0_u32;
     for (s, &reference) in references.iter().enumerate() {
@@ -467,23 +558,23 @@ fn for_each_shaded<const S: usize>(
     }
     while left != 0 {
         let reference = references[left.trailing_zeros() as usize];
-        let mask =
-            bits(left).filter(|&s| references[s] == reference).fold(0, |mask, s| mask | 1_u32 << s);
+        let mut mask = 0_u32;
+        for (s, &other) in references.iter().enumerate() {
+            mask |= u32::from(other == reference) << s;
+        }
         left &= !mask;
-        let unit = &scene.units[(reference >> SHAPE_BITS) as usize];
-        let shape = &unit.shapes[(reference & ((1 << SHAPE_BITS) - 1)) as usize];
-        let material = Material::new(scene.list, unit, shape);
-        let weigher = Weigher::new(scene.view, &material, unit, shape);
-        let id = material.source_id(shape);
+        let known = last.take().filter(|last| last.reference == reference);
+        let shaded = last.insert(known.unwrap_or_else(|| LastShaded::new(scene, reference)));
+        let LastShaded { shape, material, weigher, id, .. } = shaded;
         if material.is_smooth() {
             let sum: Vec2 = bits(mask).map(|s| scene.point(x, y, s)).sum();
             let centroid = sum * (1.0 / mask.count_ones() as f32);
-            visit(mask, &material.shade(shape, &weigher, centroid, 0.0), id);
+            visit(mask, material.shade(shape, weigher, centroid, 0.0, scene.layers), *id);
         } else {
-            let lod = material.lod(&weigher, Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+            let lod = material.lod(weigher, Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
             for s in bits(mask) {
                 let point = scene.point(x, y, s);
-                visit(1 << s, &material.shade(shape, &weigher, point, lod), id);
+                visit(1 << s, material.shade(shape, weigher, point, lod, scene.layers), *id);
             }
         }
     }

@@ -97,6 +97,8 @@ pub fn check_size(name: &'static str, width: u32, height: u32) -> Result<(), Lod
 pub struct Texture {
     id: u64,
     levels: Vec<Image>,
+    /// The levels' texels decoded, for textures that are read often: the same numbers, sooner.
+    decoded: Vec<Vec<Vec4>>,
     byte_count: u64,
 }
 
@@ -131,7 +133,16 @@ impl Texture {
             size = ((size.0 / 2).max(1), (size.1 / 2).max(1));
         }
         let id = NEXT_ID.fetch_add(1, Ordering::Relaxed);
-        Ok(Arc::new(Self { id, levels, byte_count }))
+        Ok(Arc::new(Self { id, levels, decoded: Vec::new(), byte_count }))
+    }
+
+    /// The same texture with its texels decoded ahead: four times the memory, for cards that are
+    /// read at every pixel they cover.
+    #[must_use]
+    pub fn decoded_ahead(self: Arc<Self>) -> Arc<Self> {
+        let decode_level = |level: &Image| level.texels.iter().map(|&t| decode(t)).collect();
+        let decoded = self.levels.iter().map(decode_level).collect();
+        Arc::new(Self { decoded, ..Arc::unwrap_or_clone(self) })
     }
 
     /// Unique in this process; the cache key of a renderer.
@@ -177,17 +188,32 @@ impl Texture {
     pub fn sample(&self, sampler: Sampler, uv: Vec2, lod: f32) -> Vec4 {
         match sampler.filter {
             Filter::Nearest => decode(nearest(&self.levels[0], sampler.wrap, uv)),
-            Filter::Bilinear => bilinear(&self.levels[0], sampler.wrap, uv),
+            Filter::Bilinear => self.bilinear(0, sampler.wrap, uv),
             Filter::Trilinear => {
                 let (level, share) = self.level_pair(lod);
-                let fine = bilinear(&self.levels[level], sampler.wrap, uv);
+                let fine = self.bilinear(level, sampler.wrap, uv);
                 if share == 0.0 {
                     return fine;
                 }
-                let coarse = bilinear(&self.levels[level + 1], sampler.wrap, uv);
+                let coarse = self.bilinear(level + 1, sampler.wrap, uv);
                 fine + (coarse - fine) * share
             }
         }
+    }
+
+    /// Four texels of a level, mixed.
+    #[inline]
+    fn bilinear(&self, level: usize, wrap: [Wrap; 2], uv: Vec2) -> Vec4 {
+        let image = &self.levels[level];
+        let (at, fx, fy) = footprint(image, wrap, uv);
+        let texels = match self.decoded.get(level) {
+            Some(decoded) => at.map(|index| decoded[index]),
+            None => at.map(|index| decode(image.texels[index])),
+        };
+        let [a, b, c, d] = texels;
+        let top = a + (b - a) * fx;
+        let bottom = c + (d - c) * fx;
+        top + (bottom - top) * fy
     }
 
     /// The finer of the two levels to mix and the share of the coarser one.
@@ -235,10 +261,17 @@ fn wrap_index(index: i64, size: u32, wrap: Wrap) -> u32 {
 #[inline]
 fn split(coordinate: f32, size: u32, shift: f32) -> (i64, f32) {
     let scaled = coordinate * size as f32 - shift;
-    let floor = scaled.floor();
-    #[expect(clippy::cast_possible_truncation, reason = "saturates; far outside any texture")]
-    let index = floor as i64;
-    (index, scaled - floor)
+    let index = floor_to_i32(scaled);
+    (i64::from(index), scaled - index as f32)
+}
+
+/// The next integer below; saturates. Quicker than `floor` where the processor has no such
+/// instruction, as on the baseline that wheels are built for.
+#[inline]
+pub(crate) fn floor_to_i32(value: f32) -> i32 {
+    #[expect(clippy::cast_possible_truncation, reason = "saturates")]
+    let toward_zero = value as i32;
+    toward_zero.saturating_sub(i32::from(toward_zero as f32 > value))
 }
 
 #[inline]
@@ -248,39 +281,24 @@ fn nearest(image: &Image, wrap: [Wrap; 2], uv: Vec2) -> [u8; 4] {
     image.texel(x, y)
 }
 
-/// The four texels around a coordinate and the weights of the right and lower ones.
+/// Indices of the four texels around a coordinate and the weights of the right and lower ones.
 #[inline]
-fn footprint(image: &Image, wrap: [Wrap; 2], uv: Vec2) -> ([[u8; 4]; 4], f32, f32) {
+fn footprint(image: &Image, wrap: [Wrap; 2], uv: Vec2) -> ([usize; 4], f32, f32) {
     let (x, fx) = split(uv.x, image.width, 0.5);
     let (y, fy) = split(uv.y, image.height, 0.5);
-    let x0 = wrap_index(x, image.width, wrap[0]);
-    let x1 = wrap_index(x + 1, image.width, wrap[0]);
-    let y0 = wrap_index(y, image.height, wrap[1]);
-    let y1 = wrap_index(y + 1, image.height, wrap[1]);
-    let texels =
-        [image.texel(x0, y0), image.texel(x1, y0), image.texel(x0, y1), image.texel(x1, y1)];
-    (texels, fx, fy)
+    let [x0, x1] = [x, x + 1].map(|x| wrap_index(x, image.width, wrap[0]) as usize);
+    let [y0, y1] =
+        [y, y + 1].map(|y| wrap_index(y, image.height, wrap[1]) as usize * image.width as usize);
+    ([y0 + x0, y0 + x1, y1 + x0, y1 + x1], fx, fy)
 }
 
 #[inline]
 fn bilinear_alpha(image: &Image, wrap: [Wrap; 2], uv: Vec2) -> f32 {
-    let (texels, fx, fy) = footprint(image, wrap, uv);
-    let [a, b, c, d] = texels.map(|texel| f32::from(texel[3]));
+    let (at, fx, fy) = footprint(image, wrap, uv);
+    let [a, b, c, d] = at.map(|index| f32::from(image.texels[index][3]));
     let top = a + (b - a) * fx;
     let bottom = c + (d - c) * fx;
     (top + (bottom - top) * fy) * (1.0 / 255.0)
-}
-
-#[inline]
-fn bilinear(image: &Image, wrap: [Wrap; 2], uv: Vec2) -> Vec4 {
-    let (texels, fx, fy) = footprint(image, wrap, uv);
-    if texels.iter().all(|texel| texel[3] == 0) {
-        return Vec4::ZERO;
-    }
-    let [a, b, c, d] = texels.map(decode);
-    let top = a + (b - a) * fx;
-    let bottom = c + (d - c) * fx;
-    top + (bottom - top) * fy
 }
 
 #[cfg(test)]
