@@ -22,7 +22,7 @@ from treelod.errors import (
     StoreError,
     TreelodError,
 )
-from treelod.plants import Foliage, Lighting, Material, Mesh, Plant, grow_plant
+from treelod.plants import Foliage, Lighting, Material, Mesh, Plant, grow_plant, load_plant
 from treelod.render import Frame, render, time_frames
 from treelod.scenes import Scene
 from treelod.techniques import FullMesh, Slicings
@@ -51,6 +51,7 @@ __all__ = [
     "TreelodError",
     "__version__",
     "grow_plant",
+    "load_plant",
     "metrics",
     "orbit",
     "render",

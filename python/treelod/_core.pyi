@@ -21,6 +21,7 @@ __all__ = [
     "slicings",
     "smooth_normals",
     "sphere_directions",
+    "split_plant",
 ]
 
 _F32 = NDArray[np.float32]
@@ -99,6 +100,14 @@ class Plant:
 
 def grow(preset: str, seed: int, leaf_count: int | None, lighting: _LightingFacts) -> Plant: ...
 def preset_names() -> list[str]: ...
+def split_plant(
+    name: str,
+    origin: Sequence[float],
+    materials: Sequence[_MaterialFacts],
+    mesh: _MeshArrays,
+    foliage_mask: NDArray[np.bool_] | None,
+    lighting: _LightingFacts,
+) -> tuple[Plant, list[tuple[int, str, int, int]]]: ...
 def smooth_normals(positions: _F32, triangles: _U32) -> _F32: ...
 def _panic_for_test() -> None: ...
 def _spin_for_test(

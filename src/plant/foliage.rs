@@ -98,3 +98,74 @@ fn measure(mesh: &Mesh, range: Range<usize>) -> (Vec3, Vec3, f32) {
     let stored_area = area as f32;
     ((center / area).as_vec3(), unit.as_vec3(), stored_area)
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::{Vec2, Vec4};
+
+    use super::*;
+
+    fn foliage(positions: &[Vec3], triangles: &[[u32; 3]], offsets: &[u32]) -> Foliage {
+        let count = positions.len();
+        let mesh = Mesh {
+            positions: positions.to_vec(),
+            normals: vec![Vec3::Y; count],
+            uvs: vec![Vec2::ZERO; count],
+            base: vec![Vec4::ONE; count],
+            front: vec![Vec3::ZERO; count],
+            back: vec![Vec3::ZERO; count],
+            triangles: triangles.to_vec(),
+            parts: Mesh::parts_from_ids(&vec![0; triangles.len()]),
+        };
+        Foliage::new(mesh, offsets.to_vec()).expect("valid")
+    }
+
+    #[test]
+    fn centre_and_normal_are_weighted_by_area() {
+        //  2         triangle 0: area 2, centroid (2/3, 2/3, 0), normal z
+        //  |\        triangle 1: area 1, centroid (2/3, 0, 1/3), normal y
+        //  0-1  3 is at z = 1
+        let positions = [Vec3::ZERO, Vec3::X * 2.0, Vec3::Y * 2.0, Vec3::Z];
+        let leaves = foliage(&positions, &[[0, 1, 2], [0, 3, 1]], &[0, 2]);
+        assert_eq!(leaves.leaf_count(), 1, "one leaf");
+        assert_eq!(leaves.areas, [3.0], "2 + 1");
+        let center = DVec3::new(2.0 / 3.0, 4.0 / 9.0, 1.0 / 9.0).as_vec3();
+        assert!(leaves.centers[0].abs_diff_eq(center, 1e-7), "{}", leaves.centers[0]);
+        let normal = DVec3::new(0.0, 1.0, 2.0).normalize().as_vec3();
+        assert!(leaves.normals[0].abs_diff_eq(normal, 1e-7), "{}", leaves.normals[0]);
+    }
+
+    #[test]
+    fn opposite_triangles_do_not_cancel() {
+        // two halves of a square, wound against each other; the larger one gives the sign
+        let positions = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::new(2.0, 2.0, 0.0)];
+        let leaves = foliage(&positions, &[[0, 1, 2], [1, 2, 3]], &[0, 2]);
+        assert_eq!(leaves.areas, [2.0], "0.5 + 1.5");
+        assert_eq!(leaves.normals, [-Vec3::Z], "triangle 1 is larger and faces -z");
+        let twin = foliage(&positions, &[[0, 1, 2], [0, 2, 1]], &[0, 2]);
+        assert_eq!(twin.normals, [Vec3::Z], "equally large: the first gives the sign");
+        assert_eq!(twin.areas, [1.0], "both faces count");
+    }
+
+    #[test]
+    fn a_leaf_without_area_has_a_centre() {
+        let positions = [Vec3::ZERO, Vec3::X, Vec3::X * 5.0];
+        let leaves = foliage(&positions, &[[0, 1, 2], [0, 0, 0]], &[0, 1, 2]);
+        assert_eq!(leaves.centers, [Vec3::X * 2.0, Vec3::ZERO], "mean of the corners");
+        assert_eq!(leaves.normals, [Vec3::ZERO; 2], "no normal");
+        assert_eq!(leaves.areas, [0.0; 2], "no area");
+    }
+
+    #[test]
+    fn offsets_must_cover_the_triangles() {
+        let mesh = foliage(&[Vec3::ZERO, Vec3::X, Vec3::Y], &[[0, 1, 2]; 3], &[0, 1, 3]).mesh;
+        for offsets in [&[][..], &[0], &[0, 2], &[1, 3], &[0, 1, 1, 3], &[0, 2, 1, 3], &[0, 4]] {
+            let result = Foliage::new(mesh.clone(), offsets.to_vec());
+            assert!(result.is_err(), "{offsets:?}");
+        }
+        let leaves = Foliage::new(mesh, vec![0, 1, 3]).expect("valid");
+        assert_eq!(leaves.triangles_of(1), 1..3, "the second leaf");
+        let none = Foliage::new(Mesh::default(), vec![0]).expect("valid");
+        assert_eq!(none.leaf_count(), 0, "no leaves at all");
+    }
+}

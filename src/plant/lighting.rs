@@ -111,3 +111,87 @@ impl Lighting {
         if brightest > 1.0 { 1.0 / brightest } else { 1.0 }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::{Vec2, Vec4};
+
+    use super::*;
+
+    /// The sun straight above; every number below is a power of two, so that sums are exact.
+    fn noon(translucency: f64) -> Lighting {
+        Lighting {
+            sun_direction: DVec3::Y * 3.0,
+            sun: DVec3::new(0.5, 0.25, 0.0),
+            sky: DVec3::splat(0.5),
+            ground: DVec3::new(0.0, 0.0, 0.25),
+            translucency,
+        }
+    }
+
+    /// Irradiance of surfaces facing up, down and sideways: sun + sky, ground, (sky + ground) / 2.
+    const UP: DVec3 = DVec3::new(1.0, 0.75, 0.5);
+    const DOWN: DVec3 = DVec3::new(0.0, 0.0, 0.25);
+    const SIDE: DVec3 = DVec3::new(0.25, 0.25, 0.375);
+
+    #[test]
+    fn front_and_back_by_hand() {
+        let light = noon(0.25);
+        let cases = [(Vec3::Y, UP, DOWN), (-Vec3::Y, DOWN, UP), (Vec3::X, SIDE, SIDE)];
+        for (normal, plus, minus) in cases {
+            assert_eq!(light.front_back(normal, 0.0), (plus, minus), "{normal}: none goes through");
+            assert_eq!(light.front_back(normal, 1.0), (minus, plus), "{normal}: all goes through");
+            let mixed = plus * 0.75 + minus * 0.25;
+            assert_eq!(light.front_back(normal, 0.25).0, mixed, "{normal}: a quarter");
+            let (front, back) = light.front_back(normal, 0.5);
+            assert_eq!(front, back, "{normal}: half and half is the same on both sides");
+        }
+    }
+
+    #[test]
+    fn bright_light_is_scaled_to_one_and_dim_light_stays() {
+        let bright = Lighting { sun: DVec3::splat(3.5), ..noon(0.0) };
+        // facing the sun: 3.5 + 0.5 = 4 in every channel
+        assert_eq!(bright.front_back(Vec3::Y, 0.0).0, DVec3::ONE, "4 becomes 1");
+        assert_eq!(bright.front_back(-Vec3::Y, 0.0).0, DOWN * 0.25, "the rest shrinks with it");
+        let dim = Lighting { sun: DVec3::ZERO, ..noon(0.0) };
+        assert_eq!(dim.front_back(Vec3::Y, 0.0).0, DVec3::splat(0.5), "not brightened");
+        assert_eq!(dim.sun_share(), 0.0, "no sun");
+        assert_eq!(noon(0.0).sun_share(), 0.75 / 2.25, "sun over sun and sky");
+        let default = Lighting::default();
+        let facing = default.front_back(default.sun_direction.normalize().as_vec3(), 0.0).0;
+        assert!((facing.max_element() - 1.0).abs() < 1e-6, "the default's brightest is 1");
+    }
+
+    #[test]
+    fn light_multiplies_the_base_colour() {
+        let base = Vec4::new(0.5, 1.0, 0.25, 0.125);
+        let mut mesh = Mesh {
+            positions: vec![Vec3::ZERO; 2],
+            normals: vec![Vec3::Y, Vec3::ZERO],
+            uvs: vec![Vec2::ZERO; 2],
+            base: vec![base; 2],
+            ..Mesh::default()
+        };
+        noon(0.25).light(&mut mesh, 0.0);
+        assert_eq!(mesh.front[0], Vec3::new(0.5, 0.75, 0.125), "base times UP; alpha stays out");
+        assert_eq!(mesh.back[0], Vec3::new(0.0, 0.0, 0.0625), "base times DOWN");
+        assert_eq!(mesh.front[1], mesh.back[1], "no normal: the mean of sky and ground");
+        assert_eq!(mesh.front[1], Vec3::new(0.125, 0.25, 0.09375), "base times SIDE");
+    }
+
+    #[test]
+    fn ranges_are_checked() {
+        let says = |lighting: Lighting| lighting.check().map_err(|error| error.to_string());
+        assert_eq!(says(noon(1.0)), Ok(()), "1 is allowed");
+        assert!(says(noon(1.5)).is_err(), "more than all");
+        assert!(
+            says(Lighting { sun_direction: DVec3::ZERO, ..noon(0.0) }).is_err(),
+            "no direction"
+        );
+        let dark = Lighting { sky: DVec3::new(0.0, -0.5, 0.0), ..noon(0.0) };
+        assert!(says(dark).is_err(), "negative light");
+        let error = Lighting { sun: DVec3::NAN, ..noon(0.0) }.check().expect_err("NaN");
+        assert_eq!(error, LodError::NotFinite { name: "sun", index: 0 }, "named");
+    }
+}

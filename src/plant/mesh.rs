@@ -167,3 +167,70 @@ pub fn area_normal([a, b, c]: [Vec3; 3]) -> DVec3 {
     let a = a.as_dvec3();
     (b.as_dvec3() - a).cross(c.as_dvec3() - a) * 0.5
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One triangle, and a fourth vertex that nothing uses.
+    fn triangle() -> Mesh {
+        Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X * 3.0, Vec3::Y * 4.0, Vec3::ONE * 99.0],
+            normals: vec![Vec3::Z; 4],
+            uvs: vec![Vec2::ZERO; 4],
+            base: vec![Vec4::ONE; 4],
+            front: vec![Vec3::ZERO; 4],
+            back: vec![Vec3::ZERO; 4],
+            triangles: vec![[0, 1, 2]],
+            parts: vec![Part { material: 0, triangles: 0..1 }],
+        }
+    }
+
+    #[test]
+    fn measures_use_only_vertices_of_triangles() {
+        let mesh = triangle();
+        assert_eq!(mesh.bounds(), Some((Vec3::ZERO, Vec3::new(3.0, 4.0, 0.0))), "without vertex 3");
+        assert_eq!(mesh.area(), 6.0, "3 * 4 / 2");
+        assert_eq!(area_normal(mesh.corners(0)), DVec3::Z * 6.0, "counter-clockwise from +z");
+        assert_eq!(Mesh::default().bounds(), None, "nothing");
+    }
+
+    #[test]
+    fn parts_follow_the_ids() {
+        let parts = Mesh::parts_from_ids(&[1, 1, 0, 1]);
+        let of = |material, triangles| Part { material, triangles };
+        assert_eq!(parts, [of(1, 0..2), of(0, 2..3), of(1, 3..4)], "runs of equal ids");
+        let mesh = Mesh { parts, ..Mesh::default() };
+        assert_eq!(mesh.triangle_materials().collect::<Vec<_>>(), [1, 1, 0, 1], "and back");
+    }
+
+    #[test]
+    fn check_names_what_is_wrong() {
+        let says = |change: &dyn Fn(&mut Mesh)| {
+            let mut mesh = triangle();
+            change(&mut mesh);
+            mesh.check(1).map_err(|error| error.to_string())
+        };
+        assert_eq!(says(&|_| ()), Ok(()), "valid");
+        type Case<'a> = (&'a dyn Fn(&mut Mesh), &'a str);
+        let cases: [Case<'_>; 8] = [
+            (&|m| m.normals.truncate(3), "normals: has 3 rows for 4 vertices"),
+            (&|m| m.uvs.push(Vec2::ZERO), "uvs: has 5 rows for 4 vertices"),
+            (&|m| m.positions[3].x = f32::NAN, "positions must be finite: element 3 is not"),
+            (&|m| m.base[1].w = f32::INFINITY, "colors must be finite: element 1 is not"),
+            (
+                &|m| m.triangles[0][2] = 4,
+                "triangles: triangle 0 has corners [0, 1, 4] but there are 4 vertices",
+            ),
+            (&|m| m.parts[0].material = 1, "material_ids: material 1 of 1"),
+            (&|m| m.parts.clear(), "material_ids: parts cover 0 of 1 triangles"),
+            (
+                &|m| m.parts[0].triangles = 1..2,
+                "material_ids: parts must follow one another without gaps",
+            ),
+        ];
+        for (change, message) in cases {
+            assert_eq!(says(change), Err(message.to_owned()), "{message}");
+        }
+    }
+}

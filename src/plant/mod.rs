@@ -7,6 +7,7 @@ pub mod mesh;
 pub mod normals;
 #[expect(clippy::module_inception, reason = "the file is named for the type it holds")]
 pub mod plant;
+pub mod split;
 pub mod structure;
 pub mod weld;
 

@@ -4,7 +4,10 @@
 //! how long it lives. The Python face keeps each copy, so an array is made at most once a plant.
 
 use bytemuck::{Pod, cast_slice, pod_read_unaligned};
-use numpy::{Element, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{
+    Element, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
+    PyUntypedArrayMethods,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -28,6 +31,19 @@ pub(super) fn rows<E: Element + Pod, T: Pod>(
         .map_err(|error| PyValueError::new_err(format!("{name} must be C-contiguous: {error}")))?;
     // unaligned: a Vec4 wants 16 bytes where `NumPy` promises the alignment of one float
     Ok(flat.chunks_exact(width).map(|row| pod_read_unaligned(cast_slice(row))).collect())
+}
+
+/// The values of a C-contiguous array of shape (N,).
+///
+/// # Errors
+/// `ValueError` under `name` if the array is not C-contiguous.
+pub(super) fn slice<'a, E: Element>(
+    name: &str,
+    array: &'a PyReadonlyArray1<'_, E>,
+) -> PyResult<&'a [E]> {
+    array
+        .as_slice()
+        .map_err(|error| PyValueError::new_err(format!("{name} must be C-contiguous: {error}")))
 }
 
 /// A copy of `rows` as an array of shape (N, C).

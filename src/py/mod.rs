@@ -65,7 +65,7 @@ mod _core {
     #[pymodule_export]
     use super::lod::{Representation, circle_directions, full_mesh, slicings, sphere_directions};
     #[pymodule_export]
-    use super::plant::{Plant, smooth_normals};
+    use super::plant::{Plant, smooth_normals, split_plant};
     #[pymodule_export]
     use super::png::encode_png;
     #[pymodule_export]

@@ -11,9 +11,10 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use super::arrays::{matrix, rows};
+use super::arrays::{matrix, rows, slice};
 use super::run::run;
 use crate::error::{LodError, check_finite};
+use crate::plant::split::{Tally, split};
 use crate::plant::{self as core, AlphaMode, Lighting, Material, Mesh, normals};
 use crate::texture::{Filter, Image, Sampler, Texture, Wrap};
 
@@ -45,7 +46,7 @@ pub(super) struct MaterialFacts<'py> {
 /// Arrays of one mesh as Python states them.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-struct MeshArrays<'py> {
+pub(super) struct MeshArrays<'py> {
     positions: PyReadonlyArray2<'py, f32>,
     normals: PyReadonlyArray2<'py, f32>,
     uvs: PyReadonlyArray2<'py, f32>,
@@ -77,9 +78,29 @@ impl From<LightingFacts> for Lighting {
     }
 }
 
+/// Materials from facts; those that share an array share the texture.
+pub(super) fn materials_from(facts: &[MaterialFacts<'_>]) -> PyResult<Vec<Material>> {
+    let mut made: Vec<(&PyReadonlyArray3<'_, u8>, Arc<Texture>)> = Vec::new();
+    facts
+        .iter()
+        .map(|facts| {
+            let texture = match &facts.texture {
+                None => None,
+                Some(array) => match made.iter().find(|(other, _)| other.is(array.as_any())) {
+                    Some((_, texture)) => Some(Arc::clone(texture)),
+                    None => {
+                        made.push((array, texture_from(array)?));
+                        made.last().map(|(_, texture)| Arc::clone(texture))
+                    }
+                },
+            };
+            facts.material(texture)
+        })
+        .collect()
+}
+
 impl MaterialFacts<'_> {
-    pub(super) fn material(&self) -> PyResult<Material> {
-        let texture = self.texture.as_ref().map(texture_from).transpose()?;
+    fn material(&self, texture: Option<Arc<Texture>>) -> PyResult<Material> {
         let alpha_mode = match self.alpha_mode.as_str() {
             "opaque" => AlphaMode::Opaque,
             "mask" => AlphaMode::Mask { cutoff: self.alpha_cutoff },
@@ -102,7 +123,7 @@ impl MaterialFacts<'_> {
 
 impl MeshArrays<'_> {
     fn mesh(&self) -> PyResult<Mesh> {
-        let material_ids = self.material_ids.as_slice()?;
+        let material_ids = slice("material_ids", &self.material_ids)?;
         let triangles: Vec<[u32; 3]> = rows("triangles", &self.triangles)?;
         if material_ids.len() != triangles.len() {
             let text = format!(
@@ -139,9 +160,9 @@ impl Plant {
         leaf_offsets: PyReadonlyArray1<'_, u32>,
         lighting: LightingFacts,
     ) -> PyResult<Self> {
-        let materials = materials.iter().map(MaterialFacts::material).collect::<PyResult<_>>()?;
+        let materials = materials_from(&materials)?;
         let (wood, foliage) = (wood.mesh()?, foliage.mesh()?);
-        let leaf_offsets = leaf_offsets.as_slice()?.to_vec();
+        let leaf_offsets = slice("leaf_offsets", &leaf_offsets)?.to_vec();
         let lighting = lighting.into();
         let plant = run(py, None, None, move |_| {
             let origin = DVec3::from(origin);
@@ -235,6 +256,40 @@ type LeafArrays<'py> = (
     Bound<'py, PyArray2<f32>>,
     Bound<'py, PyArray1<f32>>,
 );
+
+/// Material index, reason, pieces, triangles: why how much of a material became what it is.
+type TallyRow = (u32, &'static str, u32, u32);
+
+/// A plant from one mesh, told apart into wood and leaves, and the reasons.
+///
+/// `foliage_mask[t]` says whether triangle `t` is foliage; without it the rules decide.
+#[pyfunction]
+pub(super) fn split_plant(
+    py: Python<'_>,
+    name: String,
+    origin: [f64; 3],
+    materials: Vec<MaterialFacts<'_>>,
+    mesh: MeshArrays<'_>,
+    foliage_mask: Option<PyReadonlyArray1<'_, bool>>,
+    lighting: LightingFacts,
+) -> PyResult<(Plant, Vec<TallyRow>)> {
+    let materials = materials_from(&materials)?;
+    let mut mesh = mesh.mesh()?;
+    let mask = foliage_mask.as_ref().map(|mask| slice("foliage_mask", mask)).transpose()?;
+    let lighting = lighting.into();
+    let (plant, tallies) = run(py, None, None, move |job| {
+        mesh.front.resize(mesh.positions.len(), Vec3::ZERO);
+        mesh.back.resize(mesh.positions.len(), Vec3::ZERO);
+        let parts = split(&mesh, &materials, mask, job)?;
+        drop(mesh);
+        let (wood, leaves, offsets) = (parts.wood, parts.leaves, parts.leaf_offsets);
+        let origin = DVec3::from(origin);
+        let plant = core::Plant::new(name, origin, materials, wood, leaves, offsets, lighting)?;
+        Ok((plant, parts.tallies))
+    })?;
+    let row = |t: Tally| (t.material, t.reason.name(), t.piece_count, t.triangle_count);
+    Ok((plant.into(), tallies.into_iter().map(row).collect()))
+}
 
 /// Area-weighted vertex normals, smooth across vertices at the same position.
 #[pyfunction]

@@ -1,0 +1,99 @@
+"""
+Where bytes come from: the plant file itself, and files that it names in its own folder or below.
+
+A plant file comes from strangers. What it names is read only if it stays under the file's folder
+after percent-decoding and after following links; nothing else on the disk or in the network is.
+"""
+
+import base64
+import binascii
+import re
+import urllib.parse
+from pathlib import Path
+
+from treelod.errors import PlantFileError
+from treelod.plant_files.model import MAX_FILE_BYTES
+
+__all__ = ["Source"]
+
+
+class Source:
+    """
+    A plant file and its folder.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    PlantFileError
+        If it is a folder, no plain file, or too large.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        size = path.stat().st_size  # FileNotFoundError names the file
+        if not path.is_file():
+            msg = f"{path}: not a file"
+            raise PlantFileError(msg)
+        if size > MAX_FILE_BYTES:
+            msg = f"{path}: {size} bytes, the limit is {MAX_FILE_BYTES}"
+            raise PlantFileError(msg)
+        self._root = path.parent.resolve()
+
+    def read(self) -> bytes:
+        """Bytes of the plant file."""
+        return self.path.read_bytes()
+
+    def read_uri(self, uri: object, what: str) -> bytes:
+        """Bytes behind a glTF URI: base64 data or a percent-encoded relative path."""
+        if not isinstance(uri, str):
+            msg = f"the URI of {what} is no text"
+            raise PlantFileError(msg)
+        if uri[:5].lower() == "data:":
+            return _data_bytes(uri, what)
+        return self.read_name(urllib.parse.unquote(uri), what)
+
+    def read_name(self, name: str, what: str) -> bytes:
+        """Bytes of the file at a relative path, in the folder of the plant file or below."""
+        path = self._inside(name, what)
+        if not path.is_file():
+            msg = f"{what} refers to {name!r}, which does not exist"
+            raise PlantFileError(msg)
+        if path.stat().st_size > MAX_FILE_BYTES:
+            msg = f"{what} refers to {name!r}, which is larger than {MAX_FILE_BYTES} bytes"
+            raise PlantFileError(msg)
+        return path.read_bytes()
+
+    def _inside(self, name: str, what: str) -> Path:
+        parts = name.replace("\\", "/").split("/")
+        # a scheme or a drive letter, the root, a way up, or a text that ends early in C
+        outside = (
+            re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", name) is not None
+            or parts[0] == ""
+            or ".." in parts
+            or "\0" in name
+        )
+        if not outside:
+            path = self._root.joinpath(*parts).resolve()
+            outside = not path.is_relative_to(self._root)
+        if outside:
+            msg = f"{what} refers to {name!r}; only relative paths below the file's folder are read"
+            raise PlantFileError(msg)
+        return path
+
+
+def _data_bytes(uri: str, what: str) -> bytes:
+    head, comma, body = uri.partition(",")
+    if not comma or not head.lower().endswith(";base64"):
+        msg = f"the data URI of {what} is not base64"
+        raise PlantFileError(msg)
+    try:
+        return base64.b64decode(urllib.parse.unquote(body), validate=True)
+    except (binascii.Error, ValueError) as error:
+        msg = f"the data URI of {what} is damaged: {error}"
+        raise PlantFileError(msg) from error
