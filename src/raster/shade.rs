@@ -4,10 +4,12 @@
 //! and clamped to the triangle, so a sample that snapping pushed outside takes the nearest colour
 //! inside instead of an extrapolated one.
 
+use std::ops::{Add, Mul, Sub};
+
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles};
 
 use crate::draw_list::{Blend, Buffers, DrawList, Instance, Item, Surface};
-use crate::raster::setup::{Placing, Shape, Unit, flags};
+use crate::raster::setup::{Placing, ScreenVertex, Shape, Unit, flags};
 use crate::texture::{Filter, Sampler, Texture};
 use crate::view::View;
 
@@ -18,6 +20,16 @@ pub(crate) struct Material<'a> {
     pub(crate) texture: Option<(&'a Texture, Sampler)>,
     buffers: &'a Buffers,
     indices: &'a Buffers,
+}
+
+/// What can be interpolated.
+trait Mixed: Copy + Mul<f32, Output = Self> + Add<Output = Self> + Sub<Output = Self> {}
+impl<T: Copy + Mul<f32, Output = T> + Add<Output = T> + Sub<Output = T>> Mixed for T {}
+
+/// A value between three corners'; exact where all are equal.
+#[inline]
+fn mix<T: Mixed>([a, b, c]: [T; 3], weights: [f32; 3]) -> T {
+    a + (b - a) * weights[1] + (c - a) * weights[2]
 }
 
 impl<'a> Material<'a> {
@@ -50,27 +62,18 @@ impl<'a> Material<'a> {
         if ids.is_empty() { shape.primitive } else { ids[shape.primitive as usize] }
     }
 
-    fn mix<T>(&self, array: &[T], sources: [u32; 3], weights: [f32; 3]) -> T
-    where
-        T: Copy
-            + std::ops::Mul<f32, Output = T>
-            + std::ops::Add<Output = T>
-            + std::ops::Sub<Output = T>,
-    {
-        let [a, b, c] = sources.map(|v| array[v as usize]);
-        // exact where all corners are equal
-        a + (b - a) * weights[1] + (c - a) * weights[2]
+    fn mix<T: Mixed>(&self, array: &[T], sources: [u32; 3], weights: [f32; 3]) -> T {
+        mix(sources.map(|v| array[v as usize]), weights)
     }
 
     /// Opacity alone: cheaper than the colour, for alpha tests.
     pub(crate) fn alpha(&self, weigher: &Weigher, at: Vec2, lod: f32) -> f32 {
         let weights = weigher.at(at);
-        let base = self.mix(&self.buffers.base, weigher.sources, weights).w;
+        let opacity = mix(weigher.opacities, weights);
         let texel = self.texture.map_or(1.0, |(texture, sampler)| {
-            let uv = self.mix(&self.buffers.uvs, weigher.sources, weights);
-            texture.alpha(sampler, uv, lod)
+            texture.alpha(sampler, mix(weigher.uvs, weights), lod)
         });
-        base * texel * self.instance.tint.w
+        opacity * texel * self.instance.tint.w
     }
 
     /// Level of detail of the texture at a pixel; 0 unless it is read with mips.
@@ -80,10 +83,7 @@ impl<'a> Material<'a> {
         };
         let (width, height) = texture.size();
         let size = Vec2::new(width as f32, height as f32);
-        let uv = |offset: Vec2| {
-            let weights = weigher.unclamped(center + offset);
-            self.mix(&self.buffers.uvs, weigher.sources, weights) * size
-        };
+        let uv = |offset: Vec2| mix(weigher.uvs, weigher.unclamped(center + offset)) * size;
         let middle = uv(Vec2::ZERO);
         let longest =
             (uv(Vec2::X) - middle).length_squared().max((uv(Vec2::Y) - middle).length_squared());
@@ -107,8 +107,7 @@ impl<'a> Material<'a> {
         let mut alpha = 1.0;
         let mut texel = Vec3::ONE;
         if let Some((texture, sampler)) = self.texture {
-            let uv = self.mix(&self.buffers.uvs, sources, weights);
-            let sampled = texture.sample(sampler, uv, lod);
+            let sampled = texture.sample(sampler, mix(weigher.uvs, weights), lod);
             if sampled.w == 0.0 {
                 // nothing to see where it is blended; black where its alpha does not count
                 texel = Vec3::ZERO;
@@ -122,8 +121,7 @@ impl<'a> Material<'a> {
             if alpha == 0.0 {
                 return [Vec4::ZERO; 3];
             }
-            let base = self.mix(&self.buffers.base, sources, weights).w;
-            alpha = (alpha * base * tint.w).clamp(0.0, 1.0);
+            alpha = (alpha * mix(weigher.opacities, weights) * tint.w).clamp(0.0, 1.0);
         } else {
             alpha = 1.0;
         }
@@ -149,6 +147,9 @@ pub(crate) struct Weigher {
     /// Vertices of the corners.
     sources: [u32; 3],
     kind: Kind,
+    /// Texture coordinates and opacities of the corners, which every alpha test needs.
+    uvs: [Vec2; 3],
+    opacities: [f32; 3],
 }
 
 enum Kind {
@@ -160,31 +161,43 @@ enum Kind {
     Clipped { space: Box<Placing>, corners: [glam::DVec3; 3] },
 }
 
+impl Kind {
+    fn planar(view: &View, corners: [ScreenVertex; 3]) -> Self {
+        let [a, b, c] = corners.map(|c| Vec2::new(c.x, c.y));
+        let (u, v) = (b - a, c - a);
+        let inverse_area = 1.0 / (u.x * v.y - u.y * v.x);
+        let second = Vec2::new(v.y, -v.x) * inverse_area;
+        let third = Vec2::new(-u.y, u.x) * inverse_area;
+        if !(second.is_finite() && third.is_finite()) {
+            return Self::Constant;
+        }
+        let keys = (!view.is_orthographic()).then(|| corners.map(|c| c.key));
+        Self::Planar { origin: a, second, third, keys }
+    }
+}
+
 impl Weigher {
+    #[inline]
     pub(crate) fn new(view: &View, material: &Material<'_>, unit: &Unit, shape: &Shape) -> Self {
-        if shape.flags & flags::CLIPPED != 0 {
+        let (sources, kind) = if shape.flags & flags::CLIPPED != 0 {
             let instance = material.instance;
             let placing = Placing::new(view, instance.linear, instance.translation);
             let positions = &material.buffers.positions;
             let corners = shape.vertices.map(|v| positions[v as usize].as_dvec3());
-            let kind = Kind::Clipped { space: Box::new(placing), corners };
-            return Self { sources: shape.vertices, kind };
+            (shape.vertices, Kind::Clipped { space: Box::new(placing), corners })
+        } else {
+            let corners = shape.vertices.map(|v| unit.vertices[v as usize]);
+            let flat = shape.flags & flags::RECT != 0;
+            let kind = if flat { Kind::Constant } else { Kind::planar(view, corners) };
+            (corners.map(|c| c.source), kind)
+        };
+        let buffers = material.buffers;
+        Self {
+            sources,
+            kind,
+            uvs: sources.map(|v| buffers.uvs[v as usize]),
+            opacities: sources.map(|v| buffers.base[v as usize].w),
         }
-        let corners = shape.vertices.map(|v| unit.vertices[v as usize]);
-        let sources = corners.map(|c| c.source);
-        if shape.flags & flags::RECT != 0 {
-            return Self { sources, kind: Kind::Constant };
-        }
-        let [a, b, c] = corners.map(|c| Vec2::new(c.x, c.y));
-        let (u, v) = (b - a, c - a);
-        let inverse_area = 1.0 / (u.x * v.y - u.y * v.x);
-        let (second, third) =
-            (Vec2::new(v.y, -v.x) * inverse_area, Vec2::new(-u.y, u.x) * inverse_area);
-        if !(second.is_finite() && third.is_finite()) {
-            return Self { sources, kind: Kind::Constant };
-        }
-        let keys = (!view.is_orthographic()).then(|| corners.map(|c| c.key));
-        Self { sources, kind: Kind::Planar { origin: a, second, third, keys } }
     }
 
     /// Weights at a point, clamped to the triangle.

@@ -206,11 +206,10 @@ impl Texture {
     fn bilinear(&self, level: usize, wrap: [Wrap; 2], uv: Vec2) -> Vec4 {
         let image = &self.levels[level];
         let (at, fx, fy) = footprint(image, wrap, uv);
-        let texels = match self.decoded.get(level) {
-            Some(decoded) => at.map(|index| decoded[index]),
+        let [a, b, c, d] = match self.decoded.get(level) {
+            Some(decoded) => [decoded[at[0]], decoded[at[1]], decoded[at[2]], decoded[at[3]]],
             None => at.map(|index| decode(image.texels[index])),
         };
-        let [a, b, c, d] = texels;
         let top = a + (b - a) * fx;
         let bottom = c + (d - c) * fx;
         top + (bottom - top) * fy
@@ -237,32 +236,35 @@ pub fn decode(texel: [u8; 4]) -> Vec4 {
 }
 
 /// A texel index inside `0..size` for any integer.
-#[inline]
-fn wrap_index(index: i64, size: u32, wrap: Wrap) -> u32 {
-    let size = i64::from(size);
-    let inside = if (0..size).contains(&index) {
-        index
-    } else {
-        match wrap {
-            Wrap::Repeat => index.rem_euclid(size),
-            Wrap::Clamp => index.clamp(0, size - 1),
-            Wrap::Mirror => {
-                let folded = index.rem_euclid(2 * size);
-                folded.min(2 * size - 1 - folded)
-            }
+fn wrap_index(index: i32, size: u32, wrap: Wrap) -> usize {
+    let (index, size) = (i64::from(index), i64::from(size));
+    let inside = match wrap {
+        Wrap::Repeat => index.rem_euclid(size),
+        Wrap::Clamp => index.clamp(0, size - 1),
+        Wrap::Mirror => {
+            let folded = index.rem_euclid(2 * size);
+            folded.min(2 * size - 1 - folded)
         }
     };
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "inside the size")]
-    let inside = inside as u32;
-    inside
+    usize::try_from(inside).expect("inside the texture")
+}
+
+/// A texel index and the next one, both inside `0..size`.
+#[inline]
+fn wrap_pair(index: i32, size: u32, wrap: Wrap) -> (usize, usize) {
+    let first = index.cast_unsigned();
+    if first < size - 1 {
+        return (first as usize, first as usize + 1);
+    }
+    (wrap_index(index, size, wrap), wrap_index(index.saturating_add(1), size, wrap))
 }
 
 /// Texel coordinate of a texture coordinate, floored, with the fraction left over.
 #[inline]
-fn split(coordinate: f32, size: u32, shift: f32) -> (i64, f32) {
+fn split(coordinate: f32, size: u32, shift: f32) -> (i32, f32) {
     let scaled = coordinate * size as f32 - shift;
     let index = floor_to_i32(scaled);
-    (i64::from(index), scaled - index as f32)
+    (index, scaled - index as f32)
 }
 
 /// The next integer below; saturates. Quicker than `floor` where the processor has no such
@@ -278,7 +280,7 @@ pub(crate) fn floor_to_i32(value: f32) -> i32 {
 fn nearest(image: &Image, wrap: [Wrap; 2], uv: Vec2) -> [u8; 4] {
     let x = wrap_index(split(uv.x, image.width, 0.0).0, image.width, wrap[0]);
     let y = wrap_index(split(uv.y, image.height, 0.0).0, image.height, wrap[1]);
-    image.texel(x, y)
+    image.texels[y * image.width as usize + x]
 }
 
 /// Indices of the four texels around a coordinate and the weights of the right and lower ones.
@@ -286,16 +288,17 @@ fn nearest(image: &Image, wrap: [Wrap; 2], uv: Vec2) -> [u8; 4] {
 fn footprint(image: &Image, wrap: [Wrap; 2], uv: Vec2) -> ([usize; 4], f32, f32) {
     let (x, fx) = split(uv.x, image.width, 0.5);
     let (y, fy) = split(uv.y, image.height, 0.5);
-    let [x0, x1] = [x, x + 1].map(|x| wrap_index(x, image.width, wrap[0]) as usize);
-    let [y0, y1] =
-        [y, y + 1].map(|y| wrap_index(y, image.height, wrap[1]) as usize * image.width as usize);
-    ([y0 + x0, y0 + x1, y1 + x0, y1 + x1], fx, fy)
+    let (x0, x1) = wrap_pair(x, image.width, wrap[0]);
+    let (y0, y1) = wrap_pair(y, image.height, wrap[1]);
+    let (row0, row1) = (y0 * image.width as usize, y1 * image.width as usize);
+    ([row0 + x0, row0 + x1, row1 + x0, row1 + x1], fx, fy)
 }
 
 #[inline]
 fn bilinear_alpha(image: &Image, wrap: [Wrap; 2], uv: Vec2) -> f32 {
     let (at, fx, fy) = footprint(image, wrap, uv);
-    let [a, b, c, d] = at.map(|index| f32::from(image.texels[index][3]));
+    let alpha = |corner: usize| f32::from(image.texels[at[corner]][3]);
+    let (a, b, c, d) = (alpha(0), alpha(1), alpha(2), alpha(3));
     let top = a + (b - a) * fx;
     let bottom = c + (d - c) * fx;
     (top + (bottom - top) * fy) * (1.0 / 255.0)
