@@ -323,6 +323,7 @@ def escapes(tmp_path):
         "percent": "%2e%2e/secret.bin",
         "percent slash": "..%2Fsecret.bin",
         "down and up": "a/../../secret.bin",
+        "up and down again": "../inside/a.gltf",
         "backslash": "..\\secret.bin",
         "absolute": str(secret),
         "percent absolute": str(secret).replace("/", "%2F"),

@@ -213,12 +213,18 @@ def test_unknown_names_are_answered_with_the_known_ones(tmp_path):
 def test_unit_and_up(tmp_path, up, corner):
     # corner 1 at (1, 2, 3) in units of two metres
     corners = [[0, 0, 0], [1, 2, 3], [0, 0, 1]]
-    path = quad(positions=corners, triangles=[[0, 1, 2]]).write(tmp_path / "a.gltf")
-    plant = tl.load_plant(path, unit=2, up=up)
+    made = Gltf()
+    # the cross product of its edges, as the file's own normal
+    normals = made.accessor([[2, -1, 0]] * 3)
+    made.primitive(corners, [[0, 1, 2]], attributes={"NORMAL": normals})
+    plant = tl.load_plant(made.write(tmp_path / "a.gltf"), unit=2, up=up)
     assert corner in plant.foliage.positions.tolist()
     # a turn, not a mirror: the normals still agree with the winding
     a, b, c = plant.foliage.positions[plant.foliage.triangles[0]]
-    assert np.dot(np.cross(b - a, c - a), plant.foliage.normals[0]) > 0
+    across = np.cross(b - a, c - a)
+    across /= np.linalg.norm(across)
+    np.testing.assert_allclose(plant.foliage.normals, [across], atol=1e-6)
+    np.testing.assert_allclose(plant.foliage.mesh.normals, [across] * 3, atol=1e-6)
 
 
 @pytest.mark.parametrize("unit", [0, -1, 1e-7, 1e7, float("nan"), "m"])
