@@ -5,7 +5,6 @@ The arrays live in the Rust core. Each array that is read here is copied out onc
 read-only: a plant never changes, and everything built from it relies on that.
 """
 
-import math
 import operator
 import os
 from collections.abc import Mapping, Sequence
@@ -583,7 +582,8 @@ def load_plant(
         everything else is wood, and an empty sequence makes all of it wood. Default: automatic, see
         Notes.
     unit : float
-        Metres per unit of the file, above 0. glTF is in metres by definition; its authors differ.
+        Metres per unit of the file, in [1e-6, 1e6]. glTF is in metres by definition; its authors
+        differ.
     up : {'y', 'z', 'x'}
         Axis of the file that points up; the plant is turned so that it becomes y.
     lighting : Lighting, optional
@@ -638,8 +638,8 @@ def load_plant(
     if isinstance(foliage, str):
         msg = f"foliage must be a sequence of names, got the text {foliage!r}"
         raise TypeError(msg)
-    if not (isinstance(unit, (int, float)) and math.isfinite(unit) and unit > 0):
-        msg = f"unit must be a finite number above 0, got {unit!r}"
+    if not (isinstance(unit, (int, float)) and 1e-6 <= unit <= 1e6):
+        msg = f"unit must be a number in [1e-6, 1e6], got {unit!r}"
         raise ValueError(msg)
     if up not in _UPRIGHT:
         msg = f"up must be 'x', 'y' or 'z', got {up!r}"

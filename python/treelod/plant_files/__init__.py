@@ -10,6 +10,8 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from treelod.errors import LimitError, PlantFileError
 from treelod.plant_files.model import MaterialFacts, Model, Piece
 from treelod.plant_files.sources import Source
@@ -49,7 +51,8 @@ def read(path: str | os.PathLike[str]) -> Model:
         msg = f"{path}: files ending in {suffix!r} are not read, only {', '.join(SUFFIXES)}"
         raise PlantFileError(msg)
     try:
-        with warnings.catch_warnings():
+        # a transform may carry positions out of range; `check` then says which
+        with warnings.catch_warnings(), np.errstate(over="ignore", invalid="ignore"):
             # NumPy only warns where a text holds something that is no number
             warnings.filterwarnings(
                 "error", category=DeprecationWarning, message=".*string or file"

@@ -27,7 +27,7 @@ from treelod.plant_files.model import (
     Model,
     Piece,
     Wrap,
-    check_triangle_count,
+    check_counts,
 )
 from treelod.plant_files.sources import Source
 
@@ -71,6 +71,8 @@ ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND"
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+INSTANCE_TYPES = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
 
@@ -128,6 +130,7 @@ class _Primitive:
     mesh_name: str
     material: int
     triangle_count: int
+    vertex_count: int
     attributes: dict[str, int]
     indices: int | None
     mode: int
@@ -150,9 +153,11 @@ class _File:
         self.check_extensions()
         placed = list(self.placed_primitives())
         used = sorted({prim.material for _, prim, _ in placed})
-        total = sum(prim.triangle_count * len(instances) for _, prim, instances in placed)
-        check_triangle_count(total)
-        if total == 0:
+        check_counts(
+            sum(prim.triangle_count * count for _, prim, count in placed),
+            sum(prim.vertex_count * count for _, prim, count in placed),
+        )
+        if not any(prim.triangle_count for _, prim, _ in placed):
             return Model(pieces=[], materials=[])
         # materials that nothing uses are left out, and their pictures are never decoded
         slot_of = {index: slot for slot, index in enumerate(used)}
@@ -214,8 +219,8 @@ class _File:
             yield index, path
             stack += [(child, [*path, child]) for child in reversed(_children(nodes[index]))]
 
-    def placed_primitives(self) -> Iterator[tuple[int, _Primitive, NDArray[np.float64]]]:
-        """Node, primitive and instance matrices (N, 4, 4) of everything that is drawn."""
+    def placed_primitives(self) -> Iterator[tuple[int, _Primitive, int]]:
+        """Node, primitive and number of instances of everything that is drawn."""
         nodes = self.all("nodes")
         skipped = set()
         drawn = False
@@ -229,10 +234,9 @@ class _File:
                 known[mesh] = [prim for prim in self.primitives(mesh) if prim is not None]
                 if len(known[mesh]) < len(self.all("meshes")[mesh].get("primitives", [])):
                     skipped.add(self.mesh_name(mesh))
-            instances = self.instances(node, f"node {index}")
             for prim in known[mesh]:
                 drawn = True
-                yield index, prim, instances
+                yield index, prim, self.instance_count(index)
         if skipped and drawn:
             names = ", ".join(sorted(skipped))
             self.warnings.append(f"points and lines are ignored (in {names})")
@@ -289,7 +293,7 @@ class _File:
             msg = f"{label}: its attributes have different lengths {sorted(counts)}"
             raise PlantFileError(msg)
         indices = primitive.get("indices")
-        corner_count = counts.pop()
+        vertex_count = corner_count = counts.pop()
         if indices is not None:
             accessor = self.accessor(indices, f"{label}, indices", {"SCALAR"})
             if accessor["componentType"] not in (5121, 5123, 5125):
@@ -300,7 +304,9 @@ class _File:
             msg = f"{label}: {corner_count} corners make no whole triangles"
             raise PlantFileError(msg)
         triangle_count = corner_count // 3 if mode == TRIANGLES else max(corner_count - 2, 0)
-        return _Primitive(name, material, triangle_count, attributes, indices, mode, label)
+        return _Primitive(
+            name, material, triangle_count, vertex_count, attributes, indices, mode, label
+        )
 
     # --- accessors ----------------------------------------------------------------------------
 
@@ -454,24 +460,31 @@ class _File:
 
     # --- geometry -----------------------------------------------------------------------------
 
-    def instances(self, node: Json, what: str) -> NDArray[np.float64]:
-        """Matrices (N, 4, 4) of EXT_mesh_gpu_instancing; one identity without it."""
-        extension = _extension(node, "EXT_mesh_gpu_instancing")
+    def instance_attributes(self, node: int) -> dict[str, int]:
+        """Accessors of a node's EXT_mesh_gpu_instancing that place its instances."""
+        extension = _extension(self.all("nodes")[node], "EXT_mesh_gpu_instancing")
         given = extension.get("attributes", {})
-        names = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
-        arrays = {
-            name: self.values(given[name], f"{what}, instances' {name}", {kind})
-            for name, kind in names.items()
-            if name in given
+        return {name: given[name] for name in INSTANCE_TYPES if name in given}
+
+    def instance_count(self, node: int) -> int:
+        """How many instances a node draws; 1 without the extension."""
+        counts = {
+            self.accessor(index, f"node {node}, instances' {name}", {INSTANCE_TYPES[name]})["count"]
+            for name, index in self.instance_attributes(node).items()
         }
-        lengths = {len(array) for array in arrays.values()}
-        if not lengths:
-            return np.eye(4)[None]
-        if len(lengths) != 1:
-            msg = f"{what}: its instances' attributes have different lengths {sorted(lengths)}"
+        if len(counts) > 1:
+            msg = f"node {node}: its instances' attributes have different lengths {sorted(counts)}"
             raise PlantFileError(msg)
-        count = lengths.pop()
-        matrices = np.tile(np.eye(4), (count, 1, 1))
+        return counts.pop() if counts else 1
+
+    def instances(self, node: int) -> NDArray[np.float64]:
+        """Matrices (N, 4, 4) of a node's instances; one identity without the extension."""
+        what = f"node {node}"
+        arrays = {
+            name: self.values(index, what, {INSTANCE_TYPES[name]})
+            for name, index in self.instance_attributes(node).items()
+        }
+        matrices = np.tile(np.eye(4), (self.instance_count(node), 1, 1))
         if "ROTATION" in arrays:
             matrices[:, :3, :3] = _rotations(arrays["ROTATION"], what)
         if "SCALE" in arrays:
@@ -485,7 +498,7 @@ class _File:
 
     def decode(
         self,
-        placed: list[tuple[int, _Primitive, NDArray[np.float64]]],
+        placed: list[tuple[int, _Primitive, int]],
         slot_of: dict[int, int],
     ) -> list[Piece]:
         """Let trimesh decode what was checked, then place it."""
@@ -499,7 +512,7 @@ class _File:
             process=False,
         )
         pieces = []
-        for (_, prim, instances), name in zip(placed, names, strict=True):
+        for (node, prim, count), name in zip(placed, names, strict=True):
             matrix, geometry = scene.graph[name]
             mesh = scene.geometry[geometry]
             arrays = {
@@ -520,26 +533,24 @@ class _File:
             uvs = None
             if "_UV" in arrays:
                 uvs = _transformed_uvs(arrays["_UV"], texture).astype(np.float32)
-            for instance in instances:
-                placed_positions, placed_normals, placed_triangles = _placed(
-                    matrix @ instance, vertices, arrays.get("_NORMAL"), triangles
+            matrices = matrix @ self.instances(node)
+            positions, normals, triangles = _placed(
+                matrices, vertices, arrays.get("_NORMAL"), triangles
+            )
+            pieces.append(
+                Piece(
+                    mesh=prim.mesh_name,
+                    material=slot_of[prim.material],
+                    positions=positions,
+                    triangles=triangles,
+                    colors=np.tile(colors, (count, 1)),
+                    normals=normals,
+                    uvs=None if uvs is None else np.tile(uvs, (count, 1)),
                 )
-                pieces.append(
-                    Piece(
-                        mesh=prim.mesh_name,
-                        material=slot_of[prim.material],
-                        positions=placed_positions,
-                        triangles=placed_triangles,
-                        colors=colors,
-                        normals=placed_normals,
-                        uvs=uvs,
-                    )
-                )
+            )
         return pieces
 
-    def checked_header(
-        self, placed: list[tuple[int, _Primitive, NDArray[np.float64]]]
-    ) -> tuple[Json, list[str]]:
+    def checked_header(self, placed: list[tuple[int, _Primitive, int]]) -> tuple[Json, list[str]]:
         """Make a header of what was checked, and name each placed primitive's node."""
         accessors = _Chosen()
         views = _Chosen()
@@ -656,24 +667,27 @@ def _transformed_uvs(uvs: NDArray[np.float64], texture: Json | None) -> NDArray[
 
 
 def _placed(
-    matrix: NDArray[np.float64],
+    matrices: NDArray[np.float64],
     positions: NDArray[np.float64],
     normals: NDArray[np.float64] | None,
     triangles: NDArray[np.int64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, NDArray[np.int64]]:
-    """World positions, normals and triangles; a mirrored mesh is wound the other way."""
-    if np.array_equal(matrix, np.eye(4)):
+    """World positions, normals and triangles of all instances; mirrored ones are wound anew."""
+    if np.array_equal(matrices, np.eye(4)[None]):
         return positions, normals, triangles
-    linear = matrix[:3, :3]
-    with np.errstate(invalid="ignore", over="ignore"):
-        world = positions @ linear.T + matrix[:3, 3]
+    linear = matrices[:, :3, :3]
+    world = positions @ linear.transpose(0, 2, 1) + matrices[:, None, :3, 3]
     # the cofactors are the inverse transpose times the determinant, and exist for any matrix
-    cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
-    if np.linalg.det(linear) < 0:
-        triangles = triangles[:, ::-1]
-        cofactors = -cofactors
-    turned = None if normals is None else normals @ cofactors.T
-    return world, turned, triangles
+    cofactors = np.cross(linear[:, [1, 2, 0]], linear[:, [2, 0, 1]])
+    mirrored = np.linalg.det(linear) < 0
+    cofactors[mirrored] *= -1
+    turned = None
+    if normals is not None:
+        turned = (normals @ cofactors.transpose(0, 2, 1)).reshape(-1, 3)
+    starts = np.arange(len(matrices)) * len(positions)
+    wound = triangles + starts[:, None, None]
+    wound[mirrored] = wound[mirrored][:, :, ::-1]
+    return world.reshape(-1, 3), turned, wound.reshape(-1, 3)
 
 
 def _rotations(quaternions: NDArray[np.float64], what: str) -> NDArray[np.float64]:

@@ -8,13 +8,27 @@ from numpy.typing import NDArray
 
 from treelod.errors import LimitError, PlantFileError
 
-__all__ = ["MAX_FILE_BYTES", "MAX_TRIANGLE_COUNT", "MaterialFacts", "Model", "Piece"]
+__all__ = [
+    "MAX_FILE_BYTES",
+    "MAX_TRIANGLE_COUNT",
+    "MAX_VERTEX_COUNT",
+    "MaterialFacts",
+    "Model",
+    "Piece",
+    "check_counts",
+]
 
 MAX_FILE_BYTES = 1 << 32
 """Largest file that is read, and largest file that it may refer to."""
 
 MAX_TRIANGLE_COUNT = 1 << 25
 """Most triangles of one plant, instances counted: 33 million, some 4 GiB while loading."""
+
+MAX_VERTEX_COUNT = 3 * MAX_TRIANGLE_COUNT
+"""Most vertices of one plant: enough for triangles that share none."""
+
+MAX_COORDINATE = 1e12
+"""Largest coordinate in file units; areas of what lies beyond would leave the range of a float."""
 
 Wrap = Literal["repeat", "mirror", "clamp"]
 AlphaMode = Literal["opaque", "mask", "blend"]
@@ -65,14 +79,22 @@ class Model:
         if not any(len(piece.triangles) for piece in self.pieces):
             msg = "it holds no triangles"
             raise PlantFileError(msg)
-        check_triangle_count(sum(len(piece.triangles) for piece in self.pieces))
+        check_counts(
+            sum(len(piece.triangles) for piece in self.pieces),
+            sum(len(piece.positions) for piece in self.pieces),
+        )
 
 
-def check_triangle_count(count: int) -> None:
-    """Refuse more triangles than the limit, before anything of that size is made."""
-    if count > MAX_TRIANGLE_COUNT:
-        msg = f"{count} triangles, the limit is {MAX_TRIANGLE_COUNT}"
-        raise LimitError(msg)
+def check_counts(triangle_count: int, vertex_count: int = 0) -> None:
+    """Refuse more than the limits, before anything of that size is made."""
+    counts = {
+        "triangles": (triangle_count, MAX_TRIANGLE_COUNT),
+        "vertices": (vertex_count, MAX_VERTEX_COUNT),
+    }
+    for name, (count, limit) in counts.items():
+        if count > limit:
+            msg = f"{count} {name}, the limit is {limit}"
+            raise LimitError(msg)
 
 
 def _check_piece(piece: Piece) -> None:
@@ -102,3 +124,6 @@ def _check_piece(piece: Piece) -> None:
         if not finite.all():
             msg = f"mesh {piece.mesh!r}: the {name} of vertex {int(finite.argmin())} is not finite"
             raise PlantFileError(msg)
+    if vertex_count and np.abs(piece.positions).max() > MAX_COORDINATE:
+        msg = f"mesh {piece.mesh!r}: a coordinate lies beyond {MAX_COORDINATE:g}"
+        raise PlantFileError(msg)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from treelod.color import linear_from_srgb
 from treelod.errors import PlantFileError
 from treelod.plant_files import mtl
-from treelod.plant_files.model import MaterialFacts, Model, Piece, check_triangle_count
+from treelod.plant_files.model import MaterialFacts, Model, Piece, check_counts
 from treelod.plant_files.sources import Source
 
 __all__ = ["read"]
@@ -47,7 +47,7 @@ def read(source: Source) -> Model:
     import trimesh
 
     lines = _Lines(_decoded(source.read()))
-    check_triangle_count(lines.triangle_count)
+    check_counts(lines.triangle_count)
     if lines.triangle_count == 0:
         return Model(pieces=[], materials=[])
     defined: dict[str, mtl.Entry] = {}
@@ -179,7 +179,7 @@ class _Lines:
 
     def rewrite(self) -> tuple[str, ...]:
         """Fans of triangles, with every index; those that a face lacks point to a zero."""
-        lacking = {"vt": self.counts["vt"] + 1, "vn": self.counts["vn"] + 1}
+        lacking = {kind: f"{self.counts[kind] + 1}" for kind in ("vt", "vn")}
         fans = []
         for row in self.face_rows:
             corners = []
@@ -187,10 +187,11 @@ class _Lines:
                 parts = [*corner.split("/"), "", ""][:3]
                 indices = []
                 for kind, part in zip(KINDS, parts, strict=True):
-                    index = int(part) if part or kind == "v" else lacking[kind]
-                    if index != lacking.get(kind):
-                        self.check_index(kind, index)
-                    indices.append(str(index))
+                    if part or kind == "v":
+                        self.check_index(kind, int(part))
+                        indices.append(part)
+                    else:
+                        indices.append(lacking[kind])
                 corners.append("/".join(indices))
             if len(corners) < 3:
                 msg = f"a face has {len(corners)} corners"
@@ -200,7 +201,8 @@ class _Lines:
             self.out[row] = "\n".join(fan_rows)
         self.face_rows = [row for row, fan in zip(self.face_rows, fans, strict=True) for _ in fan]
         has = tuple(kind for kind in KINDS if self.counts[kind])
-        self.out += ["vt 0 0", "vn 0 0 0"]
+        # v runs up, so this is (0, 0) once it runs down
+        self.out += ["vt 0 1", "vn 0 0 0"]
         return has
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from treelod.color import linear_from_srgb
 from treelod.errors import PlantFileError
 from treelod.plant_files import images
-from treelod.plant_files.model import AlphaMode, MaterialFacts, Model, Piece, check_triangle_count
+from treelod.plant_files.model import AlphaMode, MaterialFacts, Model, Piece, check_counts
 from treelod.plant_files.sources import Source
 
 __all__ = ["read"]
@@ -36,7 +36,7 @@ def read(source: Source) -> Model:
     counts, properties, picture = _header(data)
     if counts.get("face", 0) == 0:
         return Model(pieces=[], materials=[])
-    check_triangle_count(counts["face"])
+    check_counts(counts["face"])
     # an edge makes trimesh read the file as a drawing, not a mesh
     if "edge" in counts:
         msg = "edges are not read; write the mesh without them"
