@@ -99,37 +99,55 @@ fn wide_triangle<const S: usize>(
     samples: &[SamplePosition; S],
     mut visit: impl FnMut(i32, i32, u32),
 ) {
-    let edges = [0, 1, 2].map(|k| {
+    // Corners lie within 2^29 steps of the picture, so products fit in i64 with room to spare; the
+    // wrapping operations only keep checks out of the loops.
+    let step = i64::from(SUBPIXEL_COUNT);
+    let mut at_row = [0_i64; 3];
+    let mut step_x = [0_i64; 3];
+    let mut step_y = [0_i64; 3];
+    let mut offsets = [[0_i64; S]; 3];
+    for k in 0..3 {
         let (a, b, owns) = edge(shape, k);
-        (i64::from(a), i64::from(b), i64::from(owns - 1), shape.x[k], shape.y[k])
-    });
-    let offsets = edges.map(|(a, b, ..)| {
-        samples.map(|sample| a * i64::from(sample[0]) + b * i64::from(sample[1]))
-    });
+        let (a, b) = (i64::from(a), i64::from(b));
+        let from_x = i64::from(x0) * step - i64::from(shape.x[k]);
+        let from_y = i64::from(y0) * step - i64::from(shape.y[k]);
+        at_row[k] = a * from_x + b * from_y + i64::from(owns - 1);
+        (step_x[k], step_y[k]) = (a * step, b * step);
+        offsets[k] = samples.map(|sample| a * i64::from(sample[0]) + b * i64::from(sample[1]));
+    }
     let lowest = offsets.map(|offset| offset.into_iter().min().unwrap_or(0));
     let highest = offsets.map(|offset| offset.into_iter().max().unwrap_or(0));
-    let full = if S == 32 { u32::MAX } else { (1 << S) - 1 };
+    let full = (1 << S) - 1;
     for y in y0..=y1 {
-        let mut at = edges.map(|(a, b, bias, from_x, from_y)| {
-            a * i64::from(x0 * SUBPIXEL_COUNT - from_x)
-                + b * i64::from(y * SUBPIXEL_COUNT - from_y)
-                + bias
-        });
+        let mut at = at_row;
         for x in x0..=x1 {
-            let mask = if (0..3).any(|k| at[k] + highest[k] < 0) {
-                0
-            } else if (0..3).all(|k| at[k] + lowest[k] >= 0) {
-                full
-            } else {
-                let inside = |s: &usize| (0..3).all(|k| at[k] + offsets[k][*s] >= 0);
-                (0..S).filter(inside).fold(0, |mask, s| mask | 1 << s)
-            };
-            if mask != 0 {
-                visit(x, y, mask);
+            let none = at[0].wrapping_add(highest[0])
+                | at[1].wrapping_add(highest[1])
+                | at[2].wrapping_add(highest[2]);
+            if none >= 0 {
+                let all = at[0].wrapping_add(lowest[0])
+                    | at[1].wrapping_add(lowest[1])
+                    | at[2].wrapping_add(lowest[2]);
+                let mut mask = full;
+                if all < 0 {
+                    mask = 0;
+                    for s in 0..S {
+                        let outside = at[0].wrapping_add(offsets[0][s])
+                            | at[1].wrapping_add(offsets[1][s])
+                            | at[2].wrapping_add(offsets[2][s]);
+                        mask |= u32::from(outside >= 0) << s;
+                    }
+                }
+                if mask != 0 {
+                    visit(x, y, mask);
+                }
             }
             for k in 0..3 {
-                at[k] += edges[k].0 * i64::from(SUBPIXEL_COUNT);
+                at[k] = at[k].wrapping_add(step_x[k]);
             }
+        }
+        for k in 0..3 {
+            at_row[k] = at_row[k].wrapping_add(step_y[k]);
         }
     }
 }

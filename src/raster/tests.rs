@@ -8,6 +8,7 @@ use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
 use super::{EMPTY_ID, Frame, Outputs, Renderer, Settings, draw_naive};
 use crate::draw_list::{Blend, Buffers, DrawList, Geometry, Instance, Item, Primitive, Surface};
 use crate::job::{self, Job};
+use crate::texture::srgb::unorm8;
 use crate::texture::{Filter, Image, Sampler, Texture, Wrap};
 use crate::view::{Projection, View};
 
@@ -61,6 +62,7 @@ fn draw(list: &DrawList, view: &View, sample_count: u32) -> Frame {
 }
 
 /// `#` full, `.` empty, a digit for tenths of alpha.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 10")]
 fn ascii(frame: &Frame) -> String {
     let mut text = String::new();
     for row in frame.color.chunks(frame.width) {
@@ -278,8 +280,7 @@ fn soup(seed: u64, view: &View) -> DrawList {
     let mut list = DrawList::default();
     let mut texels = Vec::new();
     for _ in 0..16 * 16 {
-        let channel = |n: f32| (n * 255.9) as u8;
-        texels.push([0; 4].map(|_| channel(numbers.next())));
+        texels.push([0; 4].map(|_| unorm8(numbers.next())));
     }
     let mut levels = vec![Image::new(16, 16, texels).expect("valid")];
     while levels.last().expect("one").width > 1 {
