@@ -232,6 +232,8 @@ def test_refuses_other_sizes_cameras_and_types():
         compare(frame, frame, ppd=0)
     with pytest.raises(ValueError, match="background must be"):
         flip_map(frame, frame, background="grey")
+    with pytest.raises(ValueError, match="frame holds no colour"):
+        compare(frame, SimpleNamespace(color=None, bounds_px=(0, 0, 0, 0)))
     with pytest.raises(ValueError, match=r"reference.color must have shape"):
         compare(SimpleNamespace(color=np.zeros((0, 4, 4)), bounds_px=(0, 0, 0, 0)), frame)
 

@@ -377,6 +377,9 @@ def _pair(reference: Frame, frame: Frame) -> tuple[NDArray[Any], NDArray[Any]]:
         if isinstance(value, np.ndarray) or not hasattr(value, "bounds_px"):
             msg = f"{name} must be a Frame, got {type(value).__name__}; compare_arrays takes arrays"
             raise TypeError(msg)
+        if value.color is None:
+            msg = f"{name} holds no colour: draw it with 'color' among the outputs"
+            raise ValueError(msg)
         color = np.asarray(value.color)
         if color.ndim != 3 or color.shape[2] != 4 or color.size == 0:
             msg = f"{name}.color must have shape (H, W, 4), got {color.shape}"

@@ -1,0 +1,518 @@
+"""
+The command line: ``treelod compare``, ``treelod demo``, ``treelod grow``.
+
+Progress and errors go to the error stream, results to the output stream. Exit codes: 0 done,
+1 failed, 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import logging
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.logging import RichHandler
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+import treelod
+from treelod.cameras import (
+    DEFAULT_AZIMUTH_COUNT,
+    DEFAULT_DISTANCES,
+    DEFAULT_ELEVATIONS_DEG,
+    default_cameras,
+)
+from treelod.export import plant_glb
+from treelod.files import atomic_write
+from treelod.plants import PRESETS, grow_plant, load_plant
+from treelod.provenance import file_sha256
+from treelod.techniques import REGISTRY, FullMesh
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rich.progress import TaskID
+
+    from treelod.plants import Plant
+    from treelod.results import Comparison
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="treelod",
+    help="Measure level of detail of trees and foliage: speed against error, for every technique.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+DEMO_PRESET = "chestnut"
+
+_NO_SETTINGS = {"progress", "threads", "views"}
+"""What a build takes besides a technique's own parameters: options of the command, or objects."""
+
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Log what happens; show tracebacks of errors.")
+]
+Threads = Annotated[
+    int | None,
+    typer.Option("--threads", min=1, show_default="all cores", help="Threads that draw."),
+]
+Seed = Annotated[
+    int | None, typer.Option("--seed", min=0, show_default="1", help="Seed of a grown plant.")
+]
+LeafCount = Annotated[
+    int | None,
+    typer.Option(
+        "--leaf-count", min=1, show_default="the preset's", help="Leaves of a grown plant."
+    ),
+]
+
+
+def main() -> None:
+    """Run the command line."""
+    app()
+
+
+def _print_version(value: bool) -> None:  # noqa: FBT001
+    if value:
+        typer.echo(f"treelod {treelod.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    *,
+    _version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """Hold the options that stand before a command."""
+
+
+@app.command()
+def compare(
+    *,
+    plant: Annotated[
+        str,
+        typer.Argument(
+            metavar="PLANT",
+            help=f"A GLB, glTF, OBJ or PLY file, or a plant to grow: {', '.join(PRESETS)}.",
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for the report; made if missing.")
+    ],
+    technique: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--technique",
+            "-t",
+            metavar="SPEC",
+            show_default="each, with its default parameters",
+            help="What to compare with the full mesh, as NAME or NAME:KEY=VALUE,KEY=VALUE; repeat "
+            "for several, also for one technique with different parameters. "
+            f"There are: {', '.join(name for name in REGISTRY if name != FullMesh.name)}.",
+        ),
+    ] = None,
+    foliage: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--foliage",
+            metavar="NAME",
+            show_default="found out",
+            help="Material or mesh that is foliage; repeat for several.",
+        ),
+    ] = None,
+    unit: Annotated[
+        float | None, typer.Option("--unit", show_default="1", help="Metres a unit of the file.")
+    ] = None,
+    up: Annotated[
+        str | None,
+        typer.Option("--up", metavar="x|y|z", show_default="y", help="The file's up axis."),
+    ] = None,
+    azimuths: Annotated[
+        int, typer.Option("--azimuths", min=1, help="Cameras on each circle.")
+    ] = DEFAULT_AZIMUTH_COUNT,
+    elevations: Annotated[
+        str, typer.Option("--elevations", metavar="DEGREES,...", help="Heights of the circles.")
+    ] = ",".join(f"{value:g}" for value in DEFAULT_ELEVATIONS_DEG),
+    distances: Annotated[
+        str,
+        typer.Option(
+            "--distances",
+            metavar="RADII,...",
+            help="Distances from the plant's centre, in radii of its bounding sphere.",
+        ),
+    ] = ",".join(f"{value:g}" for value in DEFAULT_DISTANCES),
+    size: Annotated[
+        str, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Pictures' size in pixels.")
+    ] = "1024x768",
+    samples: Annotated[
+        int, typer.Option("--samples", min=1, help="Samples a pixel of the frames that are timed.")
+    ] = 4,
+    reference_samples: Annotated[
+        int,
+        typer.Option(
+            "--reference-samples", min=1, help="Samples a pixel of the frames that are measured."
+        ),
+    ] = 64,
+    repeats: Annotated[
+        int, typer.Option("--repeats", min=1, help="Timed frames of each technique and view.")
+    ] = 9,
+    threads: Threads = None,
+    seed: Seed = None,
+    leaf_count: LeafCount = None,
+    verbose: Verbose = False,
+) -> None:
+    """
+    Compare techniques for a plant: what they cost and how wrong they look.
+
+    The report is OUTPUT/report.html, one self-contained page.
+    Beside it lie results.parquet, results.csv, plots and pictures.
+    """
+    wanted = dict(_technique(text) for text in technique or _all_techniques())
+    elevation_values = _numbers("--elevations", elevations)
+    distance_values = _numbers("--distances", distances)
+    frame_size = _frame_size(size)
+    with _reported(verbose=verbose), _Stages() as stages:
+        measure = _measurement(output)
+        subject, source = _subject(
+            stages, plant, foliage, unit, up, seed=seed, leaf_count=leaf_count
+        )
+        cameras = default_cameras(
+            subject,
+            azimuth_count=azimuths,
+            elevations_deg=elevation_values,
+            distances=distance_values,
+            size=frame_size,
+        )
+        comparison, page = measure(
+            subject,
+            wanted,
+            cameras,
+            samples=samples,
+            reference_samples=reference_samples,
+            repeats=repeats,
+            threads=threads,
+            source=source,
+            progress=stages,
+        )
+    _show(comparison, page)
+
+
+@app.command()
+def demo(
+    *,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for the report; made if missing.")
+    ] = Path("demo"),
+    small: Annotated[
+        bool, typer.Option("--small", help="Fewer leaves, views and pixels: seconds, not minutes.")
+    ] = False,
+    threads: Threads = None,
+    verbose: Verbose = False,
+) -> None:
+    """
+    Grow a chestnut, compare every technique on it, write a report.
+
+    The place to begin: it needs no file and takes a minute or two.
+    """
+    if small:
+        views: dict[str, Any] = {
+            "azimuth_count": 4,
+            "elevations_deg": (0.0,),
+            "distances": (2.5, 10.0),
+            "size": (256, 192),
+        }
+        leaf_count, reference_samples = 2000, 16
+    else:
+        views = {
+            # 6 would meet the 6 directions that slicings are baked for and show no other
+            "azimuth_count": 5,
+            "elevations_deg": DEFAULT_ELEVATIONS_DEG,
+            "distances": DEFAULT_DISTANCES,
+            "size": (512, 384),
+        }
+        leaf_count, reference_samples = None, 64
+    with _reported(verbose=verbose), _Stages() as stages:
+        measure = _measurement(output)
+        subject, source = _subject(stages, DEMO_PRESET, leaf_count=leaf_count)
+        comparison, page = measure(
+            subject,
+            dict(_technique(text) for text in _all_techniques()),
+            default_cameras(subject, **views),
+            reference_samples=reference_samples,
+            threads=threads,
+            source=source,
+            progress=stages,
+        )
+    _show(comparison, page)
+
+
+@app.command()
+def grow(
+    *,
+    preset: Annotated[
+        str, typer.Argument(metavar="PRESET", help=f"What to grow: {', '.join(PRESETS)}.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The GLB file to write.")],
+    seed: Seed = None,
+    leaf_count: LeafCount = None,
+    verbose: Verbose = False,
+) -> None:
+    """Grow a plant and write it as a GLB file."""
+    if output.suffix.lower() != ".glb":
+        msg = f"{output} must end in .glb"
+        raise typer.BadParameter(msg, param_hint="--output")
+    if preset not in PRESETS:
+        msg = f"there is no preset {preset!r}; there are {', '.join(PRESETS)}"
+        raise typer.BadParameter(msg, param_hint="PRESET")
+    with _reported(verbose=verbose), _Stages() as stages:
+        subject, _ = _subject(stages, preset, seed=seed, leaf_count=leaf_count)
+        data = plant_glb(subject)
+        atomic_write(output, data)
+    typer.echo(subject.summary())
+    typer.echo(f"{output}  {len(data) / 1e6:.1f} MB")
+
+
+class _Stages:
+    """
+    Shows how far each stage of a long run is.
+
+    Bars in a terminal; elsewhere one line a stage, when it is done. Called as `compare_techniques`
+    calls its `progress`.
+    """
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True)
+        self._bars = (
+            Progress(
+                TextColumn("{task.description:<18}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeElapsedColumn(),
+                console=self._console,
+            )
+            if self._console.is_terminal
+            else None
+        )
+        self._tasks: dict[str, TaskID] = {}
+        self._started: dict[str, float] = {}
+
+    def __enter__(self) -> _Stages:
+        if self._bars is not None:
+            self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bars is not None:
+            self._bars.stop()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        if self._bars is not None:
+            if stage not in self._tasks:
+                self._tasks[stage] = self._bars.add_task(stage, total=total)
+            self._bars.update(self._tasks[stage], completed=done, total=total)
+            return
+        started = self._started.setdefault(stage, time.monotonic())
+        if done == total:
+            took = time.monotonic() - started
+            self._console.print(f"{stage}: {total} in {took:.1f} s", highlight=False)
+
+
+@contextlib.contextmanager
+def _reported(*, verbose: bool) -> Iterator[None]:
+    """Turn what a user can cause into one line and exit code 1; a traceback with ``-v``."""
+    console = Console(stderr=True)
+    if verbose:
+        logger = logging.getLogger("treelod")
+        logger.setLevel(logging.DEBUG)
+        if not logger.handlers:
+            logger.addHandler(RichHandler(console=console, show_path=False))
+    try:
+        yield
+    except (treelod.TreelodError, OSError, ValueError, TypeError, MemoryError) as failure:
+        if verbose:
+            raise
+        line = str(failure) or type(failure).__name__
+        if isinstance(failure, OSError) and failure.filename is not None:
+            line = f"{failure.filename}: {failure.strerror}"
+        # names of files may hold what rich takes for markup
+        console.print(Text.assemble(("error: ", "bold red"), line), soft_wrap=True)
+        raise typer.Exit(1) from None
+
+
+def _subject(
+    stages: _Stages,
+    name: str,
+    foliage: list[str] | None = None,
+    unit: float | None = None,
+    up: str | None = None,
+    *,
+    seed: int | None = None,
+    leaf_count: int | None = None,
+) -> tuple[Plant, dict[str, Any]]:
+    """Load or grow a plant, and say where it came from. A file goes before a preset."""
+    path = Path(name)
+    if name in PRESETS and not path.exists():
+        for option, value in (("--foliage", foliage), ("--unit", unit), ("--up", up)):
+            if value:
+                msg = f"{name!r} is grown; this is for files"
+                raise typer.BadParameter(msg, param_hint=option)
+        stage = f"growing {name}"
+        stages(stage, 0, 1)
+        seed = 1 if seed is None else seed
+        plant = grow_plant(name, seed=seed, leaf_count=leaf_count)
+        stages(stage, 1, 1)
+        source = {"preset": name, "seed": seed, "leaf_count": plant.foliage.leaf_count}
+        return plant, source
+    for option, number in (("--seed", seed), ("--leaf-count", leaf_count)):
+        if number is not None:
+            msg = f"{name!r} is a file; this is for plants to grow: {', '.join(PRESETS)}"
+            raise typer.BadParameter(msg, param_hint=option)
+    if not path.exists():
+        msg = f"there is no file {name}, and no plant of that name to grow ({', '.join(PRESETS)})"
+        raise FileNotFoundError(msg)
+    stage = f"loading {path.name}"
+    stages(stage, 0, 1)
+    axis: Any = up or "y"
+    plant = load_plant(path, foliage, unit=1.0 if unit is None else unit, up=axis)
+    stages(stage, 1, 1)
+    source = {
+        "file": path.name,
+        "sha256": file_sha256(path),
+        "unit": 1.0 if unit is None else unit,
+        "up": axis,
+    }
+    if foliage:
+        source["foliage"] = foliage
+    return plant, source
+
+
+def _measurement(folder: Path) -> Callable[..., tuple[Comparison, Path]]:
+    """Refuse a folder that cannot be written to; else return what compares and writes to it."""
+    # seconds of imports, which `--help` and mistyped options should not wait for
+    from treelod.comparison import compare_techniques
+    from treelod.report import check_folder, write_report
+
+    check_folder(folder)
+
+    def measure(*arguments: Any, progress: _Stages, **settings: Any) -> tuple[Comparison, Path]:
+        comparison = compare_techniques(*arguments, progress=progress, **settings)
+        progress("writing the report", 0, 1)
+        page = write_report(comparison, folder)
+        progress("writing the report", 1, 1)
+        return comparison, page
+
+    return measure
+
+
+def _all_techniques() -> list[str]:
+    return [name for name in REGISTRY if name != FullMesh.name]
+
+
+def _technique(text: str) -> tuple[str, dict[str, Any]]:
+    """Read ``NAME:KEY=VALUE,...``; the whole text is the technique's label."""
+    name, _, tail = text.partition(":")
+    if name not in REGISTRY:
+        msg = f"there is no technique {name!r}; there are {', '.join(REGISTRY)}"
+        raise typer.BadParameter(msg, param_hint="--technique")
+    known = [
+        parameter.name
+        for parameter in inspect.signature(REGISTRY[name].build).parameters.values()
+        if parameter.kind is parameter.KEYWORD_ONLY and parameter.name not in _NO_SETTINGS
+    ]
+    params: dict[str, Any] = {}
+    for part in filter(None, tail.split(",")):
+        key, separator, value = part.partition("=")
+        if not separator or key not in known:
+            msg = f"{part!r} in {text!r}: parameters of {name} are {', '.join(known) or 'none'}"
+            raise typer.BadParameter(msg, param_hint="--technique")
+        params[key] = _value(value)
+    return text, params
+
+
+def _value(text: str) -> Any:
+    constants = {"none": None, "true": True, "false": False}
+    if text.lower() in constants:
+        return constants[text.lower()]
+    for number in (int, float):
+        with contextlib.suppress(ValueError):
+            return number(text)
+    return text
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        msg = f"{text!r} is not a list of numbers with commas between"
+        raise typer.BadParameter(msg, param_hint=option) from None
+
+
+def _frame_size(text: str) -> tuple[int, int]:
+    width, separator, height = text.lower().partition("x")
+    try:
+        if not separator:
+            raise ValueError
+        return int(width), int(height)
+    except ValueError:
+        msg = f"{text!r} is not WIDTHxHEIGHT, 1024x768 for example"
+        raise typer.BadParameter(msg, param_hint="--size") from None
+
+
+def _show(comparison: Comparison, page: Path) -> None:
+    """Print the table and the report's path."""
+    from treelod.report.text import decibels, error, millis, seconds, signed, size_bytes, times
+
+    console = Console()
+    # in a file or a pipe, lines are as long as the table needs
+    if not console.is_terminal:
+        console = Console(width=160)
+    table = Table(title=f"{comparison.plant['name']}: medians and means over all views")
+    table.add_column("technique", overflow="fold")
+    for name in (
+        "frame ms",
+        "speed-up",
+        "FLIP",
+        "worst",
+        "PSNR worst",
+        "SSIM",
+        "coverage bias",
+        "size",
+        "build",
+    ):
+        table.add_column(name, justify="right", no_wrap=True)
+    for row in comparison.summary().to_dict("records"):
+        label = str(row["label"])
+        if label == comparison.reference_label:
+            label += f" ({comparison.settings['time_samples']} samples)"
+        table.add_row(
+            Text(label),
+            millis(row["frame_millis"]),
+            times(row["speedup"]),
+            error(row["flip"]),
+            error(row["flip_worst"]),
+            decibels(row["psnr_worst"]),
+            error(row["ssim"]),
+            signed(row["coverage_bias"]),
+            size_bytes(row["total_bytes"]),
+            seconds(row["build_secs"]),
+        )
+    console.print(table)
+    console.print(Text(f"report: {page}"), soft_wrap=True)
+
+
+if __name__ == "__main__":
+    main()
