@@ -18,7 +18,7 @@ from treelod.report import images, write_report
 class Page(HTMLParser):
     """Collects tags, attributes and text; checks that every tag is closed in order."""
 
-    VOID = frozenset({"meta", "img", "br", "link", "input"})
+    VOID = frozenset({"meta", "img", "br", "link", "input", "wbr"})
 
     def __init__(self, text):
         super().__init__()

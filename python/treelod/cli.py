@@ -308,7 +308,8 @@ class _Stages:
             else None
         )
         self._tasks: dict[str, TaskID] = {}
-        self._started: dict[str, float] = {}
+        self._spent: dict[str, float] = {}
+        self._last = time.monotonic()
 
     def __enter__(self) -> _Stages:
         if self._bars is not None:
@@ -325,10 +326,13 @@ class _Stages:
                 self._tasks[stage] = self._bars.add_task(stage, total=total)
             self._bars.update(self._tasks[stage], completed=done, total=total)
             return
-        started = self._started.setdefault(stage, time.monotonic())
+        # stages take turns: what has passed since any of them moved belongs to the one that moves
+        now = time.monotonic()
+        if done > 0:
+            self._spent[stage] = self._spent.get(stage, 0.0) + now - self._last
+        self._last = now
         if done == total:
-            took = time.monotonic() - started
-            self._console.print(f"{stage}: {total} in {took:.1f} s", highlight=False)
+            self._console.print(f"{stage}: {total} in {self._spent[stage]:.1f} s", highlight=False)
 
 
 @contextlib.contextmanager

@@ -75,6 +75,9 @@ _MAX_PANELS = 4
 
 _PANEL_INCHES = (3.1, 2.7)
 
+_DODGE = 0.035
+"""How far techniques stand apart in a plot by distance, as a share of the distance."""
+
 
 @dataclass(frozen=True)
 class Metric:
@@ -306,8 +309,9 @@ def error_by_distance(
     Returns
     -------
     matplotlib.figure.Figure
-        A line a technique: the mean over the views of each distance, in a band from the best to
-        the worst view. Infinite PSNR is drawn on a line of its own, marked as such.
+        A line a technique: the mean over the views of each distance, with bars from the best to
+        the worst view. Techniques are a little apart to the side, or they would hide each other.
+        Infinite PSNR is drawn on a line of its own, marked as such.
 
     Raises
     ------
@@ -323,7 +327,7 @@ def error_by_distance(
         for axes, metric in zip(panels, metrics, strict=True):
             looks, about = _start(table, metric)
             ceiling = _ceiling(table[metric])
-            for label, look in looks.items():
+            for position, (label, look) in enumerate(looks.items()):
                 rows = table[table["label"] == label]
                 distances = np.sort(rows["distance"].unique())
                 groups = [_capped(rows[rows["distance"] == d][metric], ceiling) for d in distances]
@@ -331,8 +335,18 @@ def error_by_distance(
                     np.array([reduce(group) for group in groups])
                     for reduce in (np.min, np.mean, np.max)
                 )
-                axes.fill_between(distances, low, high, color=look.color, alpha=0.12, linewidth=0)
-                axes.plot(distances, middle, color=look.color, marker=look.marker, clip_on=False)
+                # side by side, or bars of like techniques hide each other
+                shift = 1.0 + _DODGE * (position - (len(looks) - 1) / 2.0)
+                axes.errorbar(
+                    distances * shift,
+                    middle,
+                    yerr=[middle - low, high - middle],
+                    color=look.color,
+                    marker=look.marker,
+                    elinewidth=0.8,
+                    capsize=2,
+                    clip_on=False,
+                )
             axes.set_xscale("log")
             distances = np.sort(table["distance"].unique())
             _plain_log_ticks(axes, distances if len(distances) <= 6 else None)

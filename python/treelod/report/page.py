@@ -49,7 +49,7 @@ _CAPTIONS = {
     ),
     "error_by_distance": (
         "Error by distance",
-        "Mean over the views of each distance; the band reaches from the best to the worst view. "
+        "Mean over the views of each distance; the bars reach from the best to the worst view. "
         "Where a stand-in stops being worse than aliasing (the full mesh's own line), it costs "
         "nothing to use it.",
     ),

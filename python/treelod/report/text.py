@@ -7,6 +7,7 @@ Digits are those that mean something, and columns align: a minus is as wide as a
 from __future__ import annotations
 
 import math
+import re
 
 __all__ = [
     "count",
@@ -14,6 +15,7 @@ __all__ = [
     "error",
     "millis",
     "number",
+    "pieces",
     "seconds",
     "signed",
     "similarity",
@@ -23,6 +25,11 @@ __all__ = [
 
 NONE = "\N{EN DASH}"
 """Stands where a number does not exist."""
+
+
+def pieces(label: str) -> list[str]:
+    """Cut a label where it may break, after colons and commas, as in ``a:b=1,c=2``."""
+    return re.split(r"(?<=[:,])", label)
 
 
 def error(value: float | None) -> str:
@@ -86,5 +93,5 @@ def count(value: int) -> str:
 
 
 def number(value: float) -> str:
-    """Return a number with up to four digits."""
-    return f"{value:.4g}"
+    """Return a number with four digits, without an exponent where people read it easily."""
+    return count(round(value)) if 1e4 <= abs(value) < 1e9 else f"{value:.4g}"
