@@ -137,6 +137,17 @@ def test_every_metric_has_an_axis(metric):
         assert figure.axes[0].get_ylabel() == plots.METRICS[metric].label
 
 
+@pytest.mark.parametrize("spread", [1.0, 1.3, 5.0, 30.0, 5000.0])
+def test_time_axes_have_several_plain_labels(spread):
+    table = TABLE.assign(frame_millis=np.where(TABLE["label"] == "slicings", 47.0, 47.0 * spread))
+    for axes in plots.speed_against_error(table).axes:
+        low, high = axes.get_xlim()
+        ticks = [tick for tick in axes.get_xticks() if low <= tick <= high]
+        assert 2 <= len(ticks) <= 8
+        labels = [axes.xaxis.get_major_formatter()(tick, 0) for tick in ticks]
+        assert [float(label) for label in labels] == pytest.approx(ticks, rel=1e-3)
+
+
 def test_one_view_is_enough():
     one = TABLE[TABLE["view"] == 0]
     for figure in (

@@ -141,7 +141,7 @@ def test_columns_without_values_keep_their_type():
 def test_pictures_beside_the_page_have_every_pixel(folder):
     made = comparison()
     names = sorted(path.name for path in (folder / "pictures").iterdir())
-    assert len(names) == 6 * 3 + 2
+    assert len(names) == 6 * 4 + 2
     (name,) = [n for n in names if n.endswith("_slicings_near_image.png")]
     np.testing.assert_array_equal(
         np.asarray(Image.open(folder / "pictures" / name)), made.pictures[0].image
@@ -174,7 +174,7 @@ def test_names_from_outside_cannot_become_markup_or_paths(tmp_path):
 def test_labels_that_look_alike_in_file_names_keep_their_pictures(tmp_path):
     made = comparison(labels=("full_mesh", "slicings:a/b", "slicings:a b"), picture_size=(30, 20))
     write_report(made, tmp_path)
-    assert len(list((tmp_path / "pictures").iterdir())) == 9 * 3 + 2
+    assert len(list((tmp_path / "pictures").iterdir())) == 9 * 4 + 2
 
 
 def test_refuses_a_file_as_folder_and_writes_nothing(tmp_path):
@@ -213,6 +213,15 @@ def test_small_pictures_are_enlarged_by_a_whole_factor_without_filtering():
     uri, width = images.overview(picture)
     assert width == 300  # 336 // 50 = 6
     np.testing.assert_array_equal(opened(uri), picture.repeat(6, axis=0).repeat(6, axis=1))
+
+
+def test_strips_are_side_by_side():
+    pictures = [np.full((100, 150, 3), shade, np.uint8) for shade in (10, 20, 30)]
+    row = images.strip(pictures)
+    assert row.shape == (200, 3 * 300 + 2 * 8, 3)  # 336 // 150 = 2
+    for left, shade in ((0, 10), (300, 255), (308, 20), (608, 255), (616, 30)):
+        width = 8 if shade == 255 else 300
+        assert (row[:, left : left + width] == shade).all()
 
 
 def test_middle_sized_pictures_are_kept_and_large_ones_are_reduced():

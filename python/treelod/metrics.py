@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 DEFAULT_PPD = 67.02
-"""Pixels a degree of sight: a 0.69 m wide screen of 3840 pixels seen from 0.7 m, FLIP's default."""
+"""Pixels a degree of sight: a 0.7 m wide screen of 3840 pixels seen from 0.7 m, FLIP's default."""
 
 BACKGROUNDS: Mapping[str, float] = MappingProxyType({"black": 0.0, "white": 1.0})
 """Linear value of each background that errors are taken on."""

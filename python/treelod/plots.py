@@ -18,7 +18,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -486,11 +486,14 @@ def _plain_log_ticks(axes: Axes, ticks: ArrayLike | None = None) -> None:
     """Label a logarithmic axis with plain numbers: 2, 5, 10, not powers of ten."""
     if ticks is None:
         low, high = axes.get_xlim()
-        mantissas = (1.0, 2.0, 5.0) if high / low > 8.0 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
         powers = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
-        values = [m * 10.0**p for p in powers for m in mantissas]
-        if high / low > 300.0:
+        if high / low < 3.0:
+            values = [float(tick) for tick in MaxNLocator(4).tick_values(low, high)]
+        elif high / low > 300.0:
             values = [10.0**p for p in powers]
+        else:
+            mantissas = (1.0, 2.0, 5.0) if high / low > 8.0 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+            values = [m * 10.0**p for p in powers for m in mantissas]
     else:
         values = [float(tick) for tick in np.asarray(ticks)]
     plain: Callable[[float, int], str] = lambda value, _position: f"{value:.4g}"  # noqa: E731

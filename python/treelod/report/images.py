@@ -18,6 +18,8 @@ from PIL import Image
 from treelod.color import quantize
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
 __all__ = [
@@ -27,6 +29,7 @@ __all__ = [
     "magma",
     "overview",
     "png",
+    "strip",
 ]
 
 COLUMN_PX = 336
@@ -37,6 +40,10 @@ DETAIL_PX = 112
 
 _OVERVIEW_PX = 512
 """Widest picture of a whole plant in the page; the files beside it have every pixel."""
+
+
+_GAP_PX = 8
+"""Between the pictures of a strip."""
 
 
 def magma(difference: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -75,6 +82,28 @@ def png(picture: NDArray[np.uint8]) -> bytes:
     return _encoded(picture, format="PNG", compress_level=6)
 
 
+def strip(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """
+    Put pictures side by side.
+
+    Parameters
+    ----------
+    pictures : sequence of ndarray of shape (h, w, 3), dtype uint8
+        Pictures of one size.
+
+    Returns
+    -------
+    ndarray of shape (H, W, 3), dtype uint8
+        From left to right with 8 white pixels between, small ones enlarged by a whole factor as
+        in `overview`.
+    """
+    height, width = pictures[0].shape[:2]
+    factor = _factor(width, height)
+    gap = np.full((height * factor, _GAP_PX, 3), 255, np.uint8)
+    row = [part for picture in pictures for part in (gap, _enlarged(picture, factor))]
+    return np.concatenate(row[1:], axis=1)
+
+
 def overview(picture: NDArray[np.uint8]) -> tuple[str, int]:
     """
     Prepare a whole picture for one column of the page.
@@ -96,7 +125,7 @@ def overview(picture: NDArray[np.uint8]) -> tuple[str, int]:
     # portrait pictures are bound by their height, or a tall palm would fill two screens
     longest = max(width, height)
     if longest <= COLUMN_PX:
-        factor = COLUMN_PX // longest
+        factor = _factor(width, height)
         return data_uri(png(_enlarged(picture, factor)), "image/png"), width * factor
     shown = max(round(width * COLUMN_PX / longest), 1)
     if longest <= _OVERVIEW_PX:
@@ -156,6 +185,11 @@ def data_uri(data: bytes, media_type: str) -> str:
         ``data:`` URI, base64.
     """
     return f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+def _factor(width: int, height: int) -> int:
+    """By how much a picture is enlarged to fill a column; 1 if it is wider or higher than one."""
+    return max(COLUMN_PX // max(width, height), 1)
 
 
 def _enlarged(picture: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:

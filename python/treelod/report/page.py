@@ -73,7 +73,8 @@ def write_report(comparison: Comparison, directory: str | os.PathLike[str]) -> P
     Path
         The page, ``report.html``, self-contained. Beside it ``results.parquet`` and
         ``results.csv`` (one row a technique and view; infinite PSNR is null), ``plots/*.png`` and
-        ``pictures/*.png`` (every pixel of the pictures in the page).
+        ``pictures/*.png`` (every pixel of the pictures in the page; ``*_strip.png`` is reference,
+        technique and difference side by side).
 
     Raises
     ------
@@ -117,6 +118,8 @@ def write_report(comparison: Comparison, directory: str | os.PathLike[str]) -> P
         }
         for part, pixels in parts.items():
             atomic_write(folder / "pictures" / f"{stem}_{part}.png", images.png(pixels))
+        row = images.png(images.strip(list(parts.values())))
+        atomic_write(folder / "pictures" / f"{stem}_strip.png", row)
         strips.append(_strip(picture, parts))
     for name, pixels in (
         ("plant", comparison.portrait),
@@ -288,4 +291,7 @@ def _file_name(label: str) -> str:
 
 
 def _value(value: Any) -> str:
+    # as the command line takes it
+    if value is None:
+        return "none"
     return value if isinstance(value, str) else json.dumps(value, default=str)
