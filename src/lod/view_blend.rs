@@ -8,6 +8,7 @@
 //! This work is based on:
 //! Aleks Jakulin. Interactive Vegetation Rendering with Slicing and Blending. 2000
 
+use std::cmp::Reverse;
 use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
@@ -22,6 +23,14 @@ const HIT_TOLERANCE: f64 = 1e-9;
 
 /// Shares below this are rounding, not a second direction.
 const MIN_SHARE: f64 = 1e-9;
+
+/// Shares that differ by less than this are equal: half way between two directions neither share is
+/// exactly one half.
+const TIE: f64 = 1e-9;
+
+/// Least volume of three unit directions and the centre that still are a side of the sphere; a
+/// triangle through the centre has none, and a ray through it no barycentric coordinates.
+const MIN_VOLUME: f64 = 1e-9;
 
 /// Directions with the law that mixes them.
 #[derive(Debug, Clone)]
@@ -56,6 +65,19 @@ pub fn circle(count: usize) -> Vec<DVec3> {
         .collect()
 }
 
+/// `count` directions evenly on the sphere: a Fibonacci lattice.
+pub fn sphere(count: usize) -> Vec<DVec3> {
+    let golden = PI * (3.0 - 5.0_f64.sqrt());
+    (0..count)
+        .map(|index| {
+            let y = 1.0 - (2.0 * index as f64 + 1.0) / count as f64;
+            let across = (1.0 - y * y).sqrt();
+            let angle = golden * index as f64;
+            DVec3::new(across * libm::sin(angle), y, across * libm::cos(angle))
+        })
+        .collect()
+}
+
 impl ViewBlend {
     /// Takes directions of any length. `triangles` closes the sphere around them and is left out
     /// where all are horizontal, or where there is only one.
@@ -78,23 +100,24 @@ impl ViewBlend {
                 return Err(invalid(format!("orientations {other} and {index} are equal")));
             }
         }
-        let level = units.iter().all(|unit| unit.y.abs() <= LEVEL_TOLERANCE);
-        let law = if units.len() == 1 {
+        let mut blend = Self { directions: units, law: Law::Single };
+        let units = &blend.directions;
+        blend.law = if units.len() == 1 {
             Law::Single
-        } else if level {
+        } else if blend.is_level() {
             let mut sorted: Vec<(usize, f64)> =
                 units.iter().map(|&unit| azimuth(unit)).enumerate().collect();
             sorted.sort_by(|a, b| a.1.total_cmp(&b.1));
             Law::Circle(sorted)
         } else {
             let triangles = triangles.unwrap_or_default();
-            if !surrounds(&units, &triangles) {
+            if !surrounds(units, &triangles) {
                 let why = "must all be horizontal, or surround the plant on every side";
                 return Err(invalid(why.to_owned()));
             }
             Law::Sphere(triangles)
         };
-        Ok(Self { directions: units, law })
+        Ok(blend)
     }
 
     /// Unit directions, in the order given.
@@ -102,9 +125,15 @@ impl ViewBlend {
         &self.directions
     }
 
+    /// Whether all directions are horizontal.
+    pub fn is_level(&self) -> bool {
+        self.directions.iter().all(|unit| unit.y.abs() <= LEVEL_TOLERANCE)
+    }
+
     /// Directions to mix towards a viewer, with shares that add up to 1: ascending share, the last
     /// is primary; of equal shares the lower index is primary. `up` decides where the viewer stands
-    /// straight above or below a circle.
+    /// straight above or below a circle; a viewer at the centre counts as standing at azimuth 0, and
+    /// so does one above or below whose picture's up is vertical too.
     pub fn shares(&self, toward: DVec3, up: DVec3) -> Vec<(usize, f64)> {
         let mut shares = match &self.law {
             Law::Single => vec![(0, 1.0)],
@@ -112,7 +141,13 @@ impl ViewBlend {
             Law::Sphere(triangles) => self.on_sphere(triangles, toward),
         };
         shares.retain(|&(_, share)| share > MIN_SHARE);
-        shares.sort_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
+        if let [(_, share)] = &mut shares[..] {
+            *share = 1.0;
+        }
+        shares.sort_by(|a, b| a.1.total_cmp(&b.1));
+        for equals in shares.chunk_by_mut(|a, b| b.1 - a.1 < TIE) {
+            equals.sort_by_key(|&(number, _)| Reverse(number));
+        }
         shares
     }
 
@@ -132,6 +167,10 @@ impl ViewBlend {
             }
         }
         let mut shares: Vec<(usize, f64)> = best.1;
+        if shares.is_empty() {
+            // no direction at all: the viewer stands at the centre
+            return self.on_sphere(triangles, DVec3::Z);
+        }
         shares.iter_mut().for_each(|(_, share)| *share = share.max(0.0));
         let total: f64 = shares.iter().map(|(_, share)| share).sum();
         shares.iter_mut().for_each(|(_, share)| *share /= total);
@@ -142,13 +181,19 @@ impl ViewBlend {
 /// The horizontal part of a direction; straight above or below, what the picture's up points at.
 fn level_direction(toward: DVec3, up: DVec3) -> DVec3 {
     let level = DVec3::new(toward.x, 0.0, toward.z);
-    if level.length() >= 1e-6 * toward.length() {
+    if level.length() >= 1e-6 * toward.length() && toward != DVec3::ZERO {
         return level;
     }
     // Tipping the camera down from the horizon to straight down turns what was ahead into up, so
     // the viewer came from where up points away from; seen from below it is the other way round.
     let up = DVec3::new(up.x, 0.0, up.z);
-    if toward.y > 0.0 { -up } else { up }
+    if toward == DVec3::ZERO || up.length() < 1e-6 {
+        DVec3::Z
+    } else if toward.y > 0.0 {
+        -up
+    } else {
+        up
+    }
 }
 
 fn on_circle(sorted: &[(usize, f64)], toward: DVec3) -> Vec<(usize, f64)> {
@@ -182,6 +227,9 @@ fn surrounds(directions: &[DVec3], triangles: &[[u32; 3]]) -> bool {
         }
         let [a, b, c] = triangle.map(|index| directions[index as usize]);
         let volume = a.dot(b.cross(c)).abs();
+        if volume < MIN_VOLUME {
+            return false;
+        }
         let edges = 1.0 + a.dot(b) + b.dot(c) + c.dot(a);
         total += 2.0 * libm::atan2(volume, edges);
     }
@@ -260,10 +308,86 @@ mod tests {
         let third = 0.333_333_333;
         assert_eq!(diagonal, [(4, third), (3, third), (0, third)], "a face's middle");
         assert_eq!(shares(&blend, DVec3::new(3.0, 1.0, 0.0)), [(2, 0.25), (0, 0.75)], "an edge");
+        let edge = blend.shares(DVec3::new(0.0, 0.3, -0.3), DVec3::Y);
+        let places: Vec<usize> = edge.iter().map(|&(index, _)| index).collect();
+        assert_eq!(places, [5, 2], "half way on an edge: the lower is primary");
+        assert_eq!(blend.shares(DVec3::ZERO, DVec3::Y), [(4, 1.0)], "from the centre: as from +z");
         triangles.pop();
         let open = ViewBlend::new(&axes, Some(triangles));
         assert!(open.is_err(), "a side is missing");
         assert!(ViewBlend::new(&axes, None).is_err(), "neither level nor closed");
+    }
+
+    #[test]
+    fn equal_shares_go_to_the_lower_index_despite_rounding() {
+        for count in [2, 3, 5, 6, 7, 12, 36] {
+            let blend = ViewBlend::new(&circle(count), None).expect("even circle");
+            for number in 0..count {
+                let next = (number + 1) % count;
+                let middle = (number as f64 + 0.5) * TAU / count as f64;
+                let toward = DVec3::new(libm::sin(middle), -0.2, libm::cos(middle)) * 37.0;
+                let order: Vec<usize> =
+                    blend.shares(toward, DVec3::Y).iter().map(|&(index, _)| index).collect();
+                assert_eq!(order, [number.max(next), number.min(next)], "{number} of {count}");
+                let onto = blend.shares(blend.directions()[number] * 3.0, DVec3::Y);
+                assert_eq!(onto, [(number, 1.0)], "exactly on {number} of {count}");
+            }
+        }
+    }
+
+    #[test]
+    fn shares_are_continuous_and_add_up_to_one() {
+        let (five, wide) = (circle(5), [at(10.0), at(40.0), at(300.0)]);
+        let level = wide.map(|d| DVec3::new(d.x, 0.0, d.z)).to_vec();
+        for directions in [five, level] {
+            let blend = ViewBlend::new(&directions, None).expect("level");
+            let of = |degrees: f64| {
+                let mut shares = vec![0.0; directions.len()];
+                for (index, share) in blend.shares(at(degrees), DVec3::Y) {
+                    shares[index] = share;
+                }
+                shares
+            };
+            for tenth in 0..3600 {
+                let (here, there) = (of(f64::from(tenth) / 10.0), of(f64::from(tenth + 1) / 10.0));
+                assert!((here.iter().sum::<f64>() - 1.0).abs() < 1e-12, "{tenth}: {here:?}");
+                let step = here.iter().zip(&there).map(|(a, b)| (a - b).abs());
+                // 0.1 degrees of an arc of 30 or more
+                assert!(step.fold(0.0, f64::max) < 0.1 / 29.0, "{tenth}: {here:?} to {there:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn where_nothing_is_level_azimuth_0_is_taken() {
+        let blend = ViewBlend::new(&circle(4), None).expect("even circle");
+        for up in [DVec3::Y, DVec3::NEG_Y, DVec3::new(-0.0, 1.0, -0.0)] {
+            assert_eq!(blend.shares(DVec3::Y, up), [(0, 1.0)], "above, {up} is up");
+            assert_eq!(blend.shares(DVec3::NEG_Y, up), [(0, 1.0)], "below, {up} is up");
+            assert_eq!(blend.shares(DVec3::ZERO, up), [(0, 1.0)], "at the centre");
+        }
+    }
+
+    #[test]
+    fn half_a_sphere_does_not_surround() {
+        // the square below passes through the centre: from there no triangle has a side to show
+        let axes = [DVec3::X, -DVec3::X, DVec3::Z, -DVec3::Z, DVec3::Y];
+        let roof = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4]];
+        let floor = [[0, 1, 2], [0, 1, 3]];
+        let closed = roof.iter().chain(&floor).copied().collect();
+        assert!(ViewBlend::new(&axes, Some(closed)).is_err(), "with a floor");
+        assert!(ViewBlend::new(&axes, Some(roof.to_vec())).is_err(), "without one");
+    }
+
+    #[test]
+    fn the_lattice_lies_on_the_sphere() {
+        for count in [1, 4, 36] {
+            let lattice = sphere(count);
+            assert_eq!(lattice.len(), count, "as many as asked for");
+            assert!(lattice.iter().all(|d| (d.length() - 1.0).abs() < 1e-12), "unit length");
+            let mean = lattice.iter().sum::<DVec3>() / count as f64;
+            assert!(mean.y.abs() < 1e-12, "as many above as below: {mean}");
+        }
     }
 
     #[test]
