@@ -11,6 +11,10 @@ use crate::error::{LodError, check_finite, check_in};
 /// Largest side of a picture, in pixels.
 pub const MAX_FRAME_SIDE: u32 = 16384;
 
+/// Largest distance from the world's origin, in metres, of an eye or of anything that is placed:
+/// its square still is an f32.
+pub const MAX_COORDINATE: f64 = 1e18;
+
 /// How depth changes what lands where.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Projection {
@@ -66,7 +70,14 @@ impl View {
         check_finite("eye", &[eye])?;
         check_finite("target", &[target])?;
         check_finite("up", &[up])?;
+        for (name, point) in [("eye", eye), ("target", target)] {
+            if point.abs().max_element() > MAX_COORDINATE {
+                let why = format!("lies more than {MAX_COORDINATE:e} m from the world's origin");
+                return Err(LodError::Invalid { name, why });
+            }
+        }
         let back = (eye - target).normalize_or_zero();
+        // also where they are so near that the difference has no square
         if back == DVec3::ZERO {
             return Err(LodError::Invalid { name: "target", why: "equals the eye".to_owned() });
         }
@@ -82,10 +93,10 @@ impl View {
                 check_in("fov_y_deg", fov_y.to_degrees(), 1e-6..=179.999_999)?;
             }
             Projection::Orthographic { height } => {
-                check_in("height", height, f64::MIN_POSITIVE..=f64::MAX)?;
+                check_in("height", height, 1.0 / MAX_COORDINATE..=MAX_COORDINATE)?;
             }
         }
-        check_in("near", near, f64::MIN_POSITIVE..=f64::MAX)?;
+        check_in("near", near, 1.0 / MAX_COORDINATE..=MAX_COORDINATE)?;
         Ok(Self {
             eye,
             right,
@@ -256,7 +267,9 @@ mod tests {
             (make(DVec3::ZERO, DVec3::Y, 1.0, (8, 8)), "target"),
             (make(DVec3::NAN, DVec3::Y, 1.0, (8, 8)), "eye"),
             (make(DVec3::Y, DVec3::Y, 1.0, (8, 8)), "up"),
+            (make(DVec3::Z * 1e19, DVec3::Y, 1.0, (8, 8)), "eye"),
             (make(DVec3::Z, DVec3::Y, 0.0, (8, 8)), "fov_y_deg"),
+            (make(DVec3::Z, DVec3::Y, f64::NAN, (8, 8)), "fov_y_deg"),
             (make(DVec3::Z, DVec3::Y, 1.0, (0, 8)), "size"),
             (make(DVec3::Z, DVec3::Y, 1.0, (8, 1_000_000)), "size"),
         ];

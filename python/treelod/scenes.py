@@ -36,7 +36,10 @@ class Scene:
     Raises
     ------
     ValueError
-        If transforms have another shape, are not finite or flatten the plant.
+        If transforms have another shape, are not finite, hold a number above 1e18 or flatten the
+        plant.
+    TypeError
+        If something else than a technique is placed.
     LimitError
         If there are more than 2**28 copies.
 
@@ -54,6 +57,9 @@ class Scene:
     def __init__(self, groups: Sequence[tuple[Technique, ArrayLike | None]]) -> None:
         pairs = []
         for technique, transforms in groups:
+            if not isinstance(getattr(technique, "_core", None), _core.Representation):
+                msg = f"a scene is made of built techniques, got {type(technique).__name__}"
+                raise TypeError(msg)
             matrices = np.eye(4) if transforms is None else np.asarray(transforms, np.float64)
             if matrices.ndim == 2:
                 matrices = matrices[np.newaxis]

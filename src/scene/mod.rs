@@ -8,11 +8,14 @@ use crate::draw_list::DrawList;
 use crate::error::{LodError, check_limit};
 use crate::lod::{Crown, ListBuilder, Representation};
 use crate::raster::Outputs;
-use crate::view::View;
+use crate::view::{MAX_COORDINATE, View};
 use crate::view_state::ViewState;
 
 /// Instances that one scene may hold.
 pub const MAX_INSTANCE_COUNT: u64 = 1 << 28;
+
+/// Axes that span less than this share of the volume of a box of their lengths lie in one plane.
+const FLAT: f64 = 1e-12;
 
 /// One picture to draw; a later pass may read what an earlier one made.
 #[derive(Debug)]
@@ -63,12 +66,12 @@ impl Scene {
         if let Some(index) = transforms.iter().position(|transform| !transform.is_finite()) {
             return Err(LodError::NotFinite { name: "transforms", index });
         }
-        let flat = |transform: &DAffine3| {
-            let inverse = transform.matrix3.determinant().recip();
-            !inverse.is_finite()
-        };
-        if let Some(index) = transforms.iter().position(flat) {
-            let why = format!("transform {index} has no inverse");
+        if let Some(index) = transforms.iter().position(is_too_large) {
+            let why = format!("transform {index} reaches beyond {MAX_COORDINATE:e} m");
+            return Err(LodError::Invalid { name: "transforms", why });
+        }
+        if let Some(index) = transforms.iter().position(is_flat) {
+            let why = format!("transform {index} flattens the plant");
             return Err(LodError::Invalid { name: "transforms", why });
         }
         let to_world = DAffine3::from_translation(representation.origin());
@@ -137,6 +140,20 @@ impl Scene {
     }
 }
 
+fn is_too_large(transform: &DAffine3) -> bool {
+    let rows = [transform.matrix3.x_axis, transform.matrix3.y_axis, transform.matrix3.z_axis];
+    rows.iter().chain([&transform.translation]).any(|v| v.abs().max_element() > MAX_COORDINATE)
+}
+
+/// Whether a transform has no inverse: axes too short to be an f32, or in one plane but for rounding.
+fn is_flat(transform: &DAffine3) -> bool {
+    let m = transform.matrix3;
+    let lengths = [m.x_axis, m.y_axis, m.z_axis].map(DVec3::length);
+    let volume = m.determinant().abs();
+    lengths.iter().any(|&length| length < 1.0 / MAX_COORDINATE)
+        || volume <= FLAT * lengths.iter().product::<f64>()
+}
+
 /// World box around the transformed corners of a local box.
 fn world_box(placement: &DAffine3, low: DVec3, high: DVec3) -> (DVec3, DVec3) {
     let center = placement.transform_point3((low + high) * 0.5);
@@ -146,8 +163,205 @@ fn world_box(placement: &DAffine3, low: DVec3, high: DVec3) -> (DVec3, DVec3) {
     (center - reach, center + reach)
 }
 
-/// An upper bound on how much a transform stretches any length.
+/// An upper bound on how much a transform stretches any length; exact for turns, mirrors and sizes.
 fn largest_scale(placement: &DAffine3) -> f64 {
     let m = placement.matrix3;
-    (m.x_axis.length_squared() + m.y_axis.length_squared() + m.z_axis.length_squared()).sqrt()
+    // the largest eigenvalue is at most the largest sum of a row's magnitudes
+    let squared = m.transpose() * m;
+    let rows = [squared.x_axis, squared.y_axis, squared.z_axis];
+    rows.map(|row| row.abs().element_sum()).into_iter().fold(0.0, f64::max).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+    use crate::draw_list::{Blend, Item, Primitive, Source, Surface};
+    use crate::lod::{Footprint, NamedTexture};
+    use crate::view::Projection;
+
+    /// A ball's box of radius 1 that emits one blended item a copy.
+    #[derive(Debug)]
+    struct Probe {
+        origin: DVec3,
+    }
+
+    impl Representation for Probe {
+        fn bounds(&self) -> (DVec3, DVec3) {
+            (DVec3::splat(-1.0), DVec3::ONE)
+        }
+
+        fn origin(&self) -> DVec3 {
+            self.origin
+        }
+
+        fn footprint(&self) -> Footprint {
+            Footprint::default()
+        }
+
+        fn textures(&self) -> Vec<NamedTexture> {
+            Vec::new()
+        }
+
+        fn emit(
+            &self,
+            view: &View,
+            crowns: &[Crown],
+            _state: &mut ViewState,
+            builder: &mut ListBuilder,
+        ) -> Result<(), LodError> {
+            for crown in crowns {
+                let instances = builder.list.instance(crown.instance(view));
+                let item = Item {
+                    primitive: Primitive::Triangles,
+                    vertices: Source::Own,
+                    indices: Source::Own,
+                    primitives: 0..0,
+                    instances,
+                    surface: Surface::VertexColor,
+                    blend: Blend::Over,
+                    depth_write: false,
+                    slab: None,
+                };
+                builder.push_blended(crown, item);
+            }
+            Ok(())
+        }
+    }
+
+    fn probe(origin: DVec3) -> Arc<dyn Representation> {
+        Arc::new(Probe { origin })
+    }
+
+    fn view(projection: Projection) -> View {
+        View::new(DVec3::Z * 10.0, DVec3::ZERO, DVec3::Y, projection, (8, 8), 0.1).expect("valid")
+    }
+
+    fn perspective() -> View {
+        view(Projection::Perspective { fov_y: std::f64::consts::FRAC_PI_2 })
+    }
+
+    /// Depths of the copies that are drawn, in paint order.
+    fn depths(scene: &Scene, view: &View) -> Vec<f32> {
+        let passes = scene.plan(view, Outputs::COLOR, &mut ViewState::default()).expect("valid");
+        let [pass] = &passes[..] else { panic!("one pass, got {}", passes.len()) };
+        assert_eq!((&pass.view, pass.targets), (view, Outputs::COLOR), "as asked for");
+        let of = |item: &Item| -pass.list.instances[item.instances.start as usize].translation.z;
+        pass.list.items.iter().map(of).collect()
+    }
+
+    fn at(x: f64, y: f64, z: f64) -> DAffine3 {
+        DAffine3::from_translation(DVec3::new(x, y, z))
+    }
+
+    #[test]
+    fn copies_of_all_groups_are_painted_far_to_near() {
+        let mut scene = Scene::default();
+        scene.add(probe(DVec3::ZERO), &[at(0.0, 0.0, 4.0), at(0.0, 0.0, -20.0)]).expect("valid");
+        scene.add(probe(DVec3::ZERO), &[at(0.0, 0.0, 0.0), at(0.0, 0.0, -8.0)]).expect("valid");
+        assert_eq!(scene.instance_count(), 4, "two and two");
+        let parallel = view(Projection::Orthographic { height: 9.0 });
+        for view in [perspective(), parallel] {
+            assert_eq!(depths(&scene, &view), [30.0, 18.0, 10.0, 6.0], "groups interleave");
+        }
+        // nearer along the view, farther from the eye
+        let mut scene = Scene::default();
+        scene.add(probe(DVec3::ZERO), &[at(7.0, 0.0, 0.0), at(0.0, 0.0, -1.0)]).expect("valid");
+        assert_eq!(depths(&scene, &perspective()), [10.0, 11.0], "by distance from the eye");
+        let wide = view(Projection::Orthographic { height: 40.0 });
+        assert_eq!(depths(&scene, &wide), [11.0, 10.0], "in parallel by depth");
+    }
+
+    #[test]
+    fn what_no_camera_sees_is_not_emitted() {
+        // the ball around the box has radius sqrt(3); at depth 10 the view reaches 10 m up
+        let seen = |transform: DAffine3| {
+            let mut scene = Scene::default();
+            scene.add(probe(DVec3::ZERO), &[transform]).expect("valid");
+            depths(&scene, &perspective()).len() == 1
+        };
+        assert!(seen(at(0.0, 12.4, 0.0)), "the ball touches: 12.4 < 10 + sqrt(3) sqrt(2)");
+        assert!(!seen(at(0.0, 12.5, 0.0)), "above");
+        assert!(!seen(at(0.0, 0.0, 12.0)), "behind the eye");
+        assert!(seen(at(0.0, 0.0, 11.0)), "around the eye");
+        let grown = DAffine3::from_scale_rotation_translation(
+            DVec3::splat(4.0),
+            glam::DQuat::IDENTITY,
+            DVec3::Y * 16.0,
+        );
+        assert!(seen(grown), "four times as large");
+        let slanted = DAffine3 {
+            matrix3: DMat3::from_cols(DVec3::X, DVec3::new(3.0, 1.0, 0.0), DVec3::Z),
+            translation: DVec3::X * 13.5,
+        };
+        assert!(seen(slanted), "sheared by 3: its left end is at x = 9.5");
+        let stretched = DAffine3 {
+            matrix3: DMat3::from_diagonal(DVec3::new(1.0, -9.0, 1.0)),
+            translation: DVec3::Y * 18.0,
+        };
+        assert!(seen(stretched), "mirrored and stretched towards the picture");
+    }
+
+    #[test]
+    fn a_plant_stands_where_its_file_put_it() {
+        let scene = Scene::single(probe(DVec3::new(100.0, 0.0, 0.0))).expect("valid");
+        let (low, high) = scene.bounds().expect("one copy");
+        assert_eq!((low, high), (DVec3::new(99.0, -1.0, -1.0), DVec3::new(101.0, 1.0, 1.0)), "box");
+        let mut scene = Scene::default();
+        assert_eq!(scene.bounds(), None, "nothing anywhere");
+        assert!(depths(&scene, &perspective()).is_empty(), "an empty picture");
+        // a transform moves the plant's world, not the plant about itself
+        let quarter = DAffine3::from_rotation_y(std::f64::consts::FRAC_PI_2);
+        let mirror = DAffine3::from_scale(DVec3::new(-2.0, 1.0, 1.0));
+        scene.add(probe(DVec3::X * 10.0), &[quarter, mirror]).expect("valid");
+        let (low, high) = scene.bounds().expect("two copies");
+        let expected = (DVec3::new(-22.0, -1.0, -11.0), DVec3::new(1.0, 1.0, 1.0));
+        assert!(
+            low.abs_diff_eq(expected.0, 1e-12) && high.abs_diff_eq(expected.1, 1e-12),
+            "{low} {high}"
+        );
+    }
+
+    #[test]
+    fn bad_transforms_are_refused() {
+        let scaled = |x: f64, y: f64, z: f64| DAffine3::from_scale(DVec3::new(x, y, z));
+        let sheared = DMat3::from_cols(DVec3::X, DVec3::new(1.0, 1e-13, 0.0), DVec3::Z);
+        let bad = [
+            at(f64::NAN, 0.0, 0.0),
+            at(0.0, f64::INFINITY, 0.0),
+            at(0.0, 0.0, 1e19),
+            scaled(1.0, 1.0, 0.0),
+            scaled(1e-19, 1.0, 1.0),
+            scaled(1e19, 1.0, 1.0),
+            DAffine3::from_mat3(DMat3::from_cols(DVec3::X, DVec3::X, DVec3::Z)),
+            DAffine3::from_mat3(sheared),
+        ];
+        for transform in bad {
+            let mut scene = Scene::default();
+            let result = scene.add(probe(DVec3::ZERO), &[DAffine3::IDENTITY, transform]);
+            let message = result.expect_err("refused").to_string();
+            assert!(message.starts_with("transforms"), "{message}");
+            assert!(message.contains('1'), "says which one: {message}");
+            assert_eq!(scene.instance_count(), 0, "and adds none");
+        }
+        for transform in [scaled(-1.0, 1.0, 1.0), scaled(1e-9, 1e-9, 1e-9), scaled(1e9, 1.0, 1e-3)]
+        {
+            let mut scene = Scene::default();
+            scene.add(probe(DVec3::ZERO), &[transform]).expect("mirrors and sizes are fine");
+        }
+    }
+
+    #[test]
+    fn equal_distances_are_painted_in_order() {
+        let mut scene = Scene::default();
+        let ring: Vec<DAffine3> = (0..5).map(|i| at(0.0, 0.0, -f64::from(i % 2))).collect();
+        scene.add(probe(DVec3::ZERO), &ring).expect("valid");
+        let view = perspective();
+        let passes = scene.plan(&view, Outputs::COLOR, &mut ViewState::default()).expect("valid");
+        let order: Vec<u32> =
+            passes[0].list.items.iter().map(|item| item.instances.start).collect();
+        assert_eq!(order, [0, 1, 2, 3, 4], "the crowns come sorted");
+        assert_eq!(depths(&scene, &view), [11.0, 11.0, 10.0, 10.0, 10.0], "far to near");
+    }
 }
