@@ -54,14 +54,17 @@ fn simplified(wood: &Mesh, target: usize) -> Mesh {
         let indices: Vec<u32> = wood.triangles[range.clone()].iter().flatten().copied().collect();
         // each material keeps its share, and at least a triangle
         let share = (target * range.len()).div_ceil(total).max(1);
-        let kept = meshopt::simplify(
-            &indices,
-            &vertices,
-            share * 3,
-            TARGET_ERROR,
-            meshopt::SimplifyOptions::Prune,
-            None,
-        );
+        let simplify = |count: usize| {
+            let options = meshopt::SimplifyOptions::Prune;
+            meshopt::simplify(&indices, &vertices, count * 3, TARGET_ERROR, options, None)
+        };
+        let mut count = share;
+        let mut kept = simplify(count);
+        // a few triangles may fold up or be pruned, and wood that is asked for must not vanish
+        while kept.is_empty() && count < range.len() {
+            count *= 2;
+            kept = simplify(count);
+        }
         let start = u32::try_from(mesh.triangles.len()).expect("fewer than before");
         mesh.triangles.extend(kept.chunks_exact(3).map(|corner| [corner[0], corner[1], corner[2]]));
         let end = u32::try_from(mesh.triangles.len()).expect("fewer than before");
@@ -70,4 +73,87 @@ fn simplified(wood: &Mesh, target: usize) -> Mesh {
         }
     }
     mesh.without_unused_vertices()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{Vec2, Vec3, Vec4};
+
+    use super::*;
+    use crate::plant::{AlphaMode, Lighting, Material};
+    use crate::texture::Sampler;
+
+    /// A wavy closed tube of `2 * around * along` triangles, the second half of another material.
+    fn tube(around: u32, along: u32) -> Mesh {
+        let mut mesh = Mesh::default();
+        for ring in 0..=along {
+            for step in 0..around {
+                let angle = step as f32 / around as f32 * std::f32::consts::TAU;
+                let radius = 1.0 + 0.1 * libm::sinf(ring as f32 * 0.7);
+                let (x, z) = (libm::cosf(angle) * radius, libm::sinf(angle) * radius);
+                mesh.positions.push(Vec3::new(x, ring as f32 * 0.2, z));
+                mesh.normals.push(Vec3::new(x, 0.0, z).normalize());
+                mesh.uvs.push(Vec2::ZERO);
+                mesh.base.push(Vec4::ONE);
+            }
+        }
+        for ring in 0..along {
+            for step in 0..around {
+                let next = (step + 1) % around;
+                let [a, b] = [ring * around + step, ring * around + next];
+                mesh.triangles.extend([[a, b, b + around], [a, b + around, a + around]]);
+            }
+        }
+        let half = mesh.triangles.len() / 2;
+        let ids: Vec<u32> = (0..mesh.triangles.len()).map(|t| u32::from(t >= half)).collect();
+        mesh.parts = Mesh::parts_from_ids(&ids);
+        mesh
+    }
+
+    fn plant(wood: Mesh, leaves: Mesh, offsets: Vec<u32>) -> Plant {
+        let material = Material {
+            name: "bark".to_owned(),
+            texture: None,
+            sampler: Sampler::default(),
+            alpha_mode: AlphaMode::Opaque,
+            double_sided: false,
+        };
+        let materials = vec![material.clone(), material];
+        let (name, lighting) = ("test".to_owned(), Lighting::default());
+        Plant::new(name, glam::DVec3::ZERO, materials, wood, leaves, offsets, lighting)
+            .expect("valid")
+    }
+
+    #[test]
+    fn about_as_many_triangles_are_left_as_asked_for() {
+        let plant = plant(tube(32, 40), Mesh::default(), vec![0]);
+        assert_eq!(plant.wood.triangles.len(), 2560, "2 * 32 * 40");
+        for target in [2000, 1000, 400, 200] {
+            let mesh = Wood::Simplified(target).of(&plant).expect("valid");
+            let found = mesh.triangles.len();
+            // an edge takes two triangles with it, and each material stops by itself
+            assert!(found.abs_diff(target) <= 6, "{found} for {target}");
+            assert_eq!(mesh.parts.len(), 2, "both materials are left");
+            let first = mesh.parts[0].triangles.len();
+            assert!((first * 2).abs_diff(found) <= 6, "each keeps its share: {first} of {found}");
+            mesh.check(2).expect("consistent");
+            assert!(mesh.positions.len() < found, "and only the vertices in use");
+            assert!(mesh.front.iter().all(|c| plant.wood.front.contains(c)), "light is kept");
+        }
+        let least = Wood::Simplified(1).of(&plant).expect("valid");
+        assert!(!least.is_empty() && least.triangles.len() < 100, "{}", least.triangles.len());
+    }
+
+    #[test]
+    fn all_or_none_of_it_is_left_alone() {
+        let wood = plant(tube(8, 4), Mesh::default(), vec![0]);
+        for all in [Wood::Full, Wood::Simplified(64), Wood::Simplified(usize::MAX)] {
+            assert_eq!(all.of(&wood).expect("valid"), wood.wood, "{all:?}");
+        }
+        assert!(Wood::None.of(&wood).expect("valid").is_empty(), "none");
+        let error = Wood::Simplified(0).of(&wood).expect_err("refused");
+        assert!(error.to_string().starts_with("wood_triangle_count"), "{error}");
+        let bare = plant(Mesh::default(), tube(3, 1), vec![0, 6]);
+        assert!(Wood::Simplified(5).of(&bare).expect("valid").is_empty(), "nothing to simplify");
+    }
 }
