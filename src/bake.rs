@@ -108,9 +108,15 @@ pub enum Format {
 /// Dilates, encodes and builds the levels of a bake.
 ///
 /// # Errors
-/// If the image's size is out of range.
-pub fn finish(image: &LinearImage, keep: Keep, format: Format) -> Result<Arc<Texture>, LodError> {
-    let mut levels = mips::levels(dilated(image), keep);
+/// If the image's size is out of range; [`LodError::Cancelled`].
+pub fn finish(
+    image: &LinearImage,
+    keep: Keep,
+    format: Format,
+    job: &Job,
+) -> Result<Arc<Texture>, LodError> {
+    let check = || job.check();
+    let mut levels = mips::levels(dilated(image, &check)?, keep, &check)?;
     if format == Format::Rgba8 {
         return Ok(Texture::new(levels)?.decoded_ahead());
     }
@@ -161,7 +167,8 @@ mod tests {
         assert_eq!(rgb5a1([255, 0, 8, 127]), [255, 0, 8, 0], "one step of 8");
         assert_eq!(rgb5a1([128, 4, 250, 128]), [132, 0, 247, 255], "the nearest of 32 steps");
         let image = LinearImage { width: 2, height: 2, texels: vec![Vec4::ONE; 4] };
-        let texture = finish(&image, Keep::MeanAlpha, Format::Rgb5a1).expect("valid");
+        let texture =
+            finish(&image, Keep::MeanAlpha, Format::Rgb5a1, &Job::default()).expect("valid");
         assert_eq!(texture.byte_count(), 5 * 2, "four texels and one");
     }
 }

@@ -36,9 +36,15 @@ pub struct Buffers {
 }
 
 impl Buffers {
-    /// The triangles of a mesh; `first_id` is the id of its first triangle.
-    pub fn from_mesh(mesh: &Mesh, first_id: u32) -> Self {
+    /// Ids of a mesh's triangles that count on from its first one's.
+    pub fn ids_from(first_id: u32, mesh: &Mesh) -> Vec<u32> {
         let triangle_count = u32::try_from(mesh.triangles.len()).expect("checked by Mesh::check");
+        (first_id..first_id + triangle_count).collect()
+    }
+
+    /// The triangles of a mesh, with an id for each.
+    pub fn from_mesh(mesh: &Mesh, source_ids: Vec<u32>) -> Self {
+        assert_eq!(source_ids.len(), mesh.triangles.len(), "one id a triangle");
         Self {
             positions: mesh.positions.clone(),
             normals: mesh.normals.clone(),
@@ -47,7 +53,7 @@ impl Buffers {
             front: mesh.front.clone(),
             back: mesh.back.clone(),
             indices: mesh.triangles.iter().flatten().copied().collect(),
-            source_ids: (first_id..first_id + triangle_count).collect(),
+            source_ids,
         }
     }
 

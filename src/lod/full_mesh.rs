@@ -2,11 +2,12 @@
 
 use glam::DVec3;
 
+use crate::draw_list::Buffers;
 use crate::error::LodError;
 use crate::lod::solid::Solid;
 use crate::lod::wood::Wood;
 use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation};
-use crate::plant::Plant;
+use crate::plant::{Mesh, Plant};
 use crate::texture::Filter;
 use crate::view::View;
 use crate::view_state::ViewState;
@@ -32,9 +33,15 @@ impl FullMesh {
             let why = "without wood there is nothing to draw";
             return Err(LodError::Empty { name: "foliage", why });
         }
-        let solid = Solid::new(&[(&mesh, 0), (leaves, wood_count)], &plant.materials, filter);
-        let (low, high) = plant.local_bounds();
-        let bounds = (low.as_dvec3(), high.as_dvec3());
+        let meshes =
+            [(&mesh, Buffers::ids_from(0, &mesh)), (leaves, Buffers::ids_from(wood_count, leaves))];
+        let solid = Solid::new(&meshes, &plant.materials, filter);
+        // of what is drawn: without its wood a plant is smaller
+        let boxes = [&mesh, leaves].into_iter().filter_map(Mesh::bounds);
+        let bounds = boxes
+            .map(|(low, high)| (low.as_dvec3(), high.as_dvec3()))
+            .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+            .expect("one of the two has a triangle");
         Ok(Self { solid, bounds, origin: plant.origin })
     }
 }

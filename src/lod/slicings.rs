@@ -11,34 +11,39 @@
 //! Deviations: the centre is that of the box of leaf centres; the outermost slabs reach to infinity;
 //! angles are measured along the circle; two more opacity corrections can be chosen.
 
+mod opacity;
+mod slabs;
+#[cfg(test)]
+mod tests;
+
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec2, DVec3, Vec2, Vec3, Vec4};
+use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
 use crate::bake::{BakeRect, Format, bake, finish};
-use crate::draw_list::{
-    Blend, Buffers, DrawList, Geometry, Instance, Item, Primitive, Source, Surface,
-};
-use crate::error::{LodError, check_in};
+use crate::draw_list::{Blend, Buffers, Geometry, Item, Primitive, Surface};
+use crate::error::{LodError, check_in, check_limit};
 use crate::job::Job;
-use crate::lod::solid::{Solid, blend_of};
-use crate::lod::view_blend::{ViewBlend, circle};
+use crate::lod::solid::Solid;
+use crate::lod::view_blend::ViewBlend;
 use crate::lod::wood::Wood;
 use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation};
 use crate::plant::{Mesh, Plant};
-use crate::raster::{Outputs, Renderer, Settings};
+use crate::raster::{Renderer, samples};
 use crate::texture::mips::Keep;
 use crate::texture::texture::check_size;
-use crate::texture::{Filter, LinearImage, Sampler, Texture, Wrap};
-use crate::view::{Projection, View};
+use crate::texture::{Filter, Sampler, Texture, Wrap};
+use crate::view::View;
 use crate::view_state::ViewState;
-
-/// A crown thinner than this share of its radius along a direction is one slice.
-const FLAT: f64 = 1e-6;
+use opacity::{Opacity, SilhouetteAlpha};
+use slabs::{Crowned, Layout};
 
 /// An eye nearer to the centre than this share of the radius sees along its own direction.
 const INSIDE: f64 = 1e-3;
+
+/// Texels of all slices together: 2 GiB of RGBA8 without mips.
+const MAX_TOTAL_TEXELS: u64 = 1 << 29;
 
 /// More slicings or slices than this are taken for a mistake.
 const MAX_COUNT: usize = 4096;
@@ -89,24 +94,25 @@ pub struct Params {
 /// One slice: a card with a texture, or nothing where no leaf is.
 #[derive(Debug, Clone)]
 struct Slice {
-    rect: BakeRect,
-    texture: Option<Arc<Texture>>,
+    /// Of its plane from the centre, along the slicing's direction.
+    offset: f64,
+    baked: Option<Baked>,
 }
 
-/// A slicing: its slices from the farthest to the nearest along its direction.
 #[derive(Debug, Clone)]
-struct Slicing {
-    slices: Vec<Slice>,
-    /// Index of its first card in the shared geometry.
-    first_card: u32,
+struct Baked {
+    rect: BakeRect,
+    texture: Arc<Texture>,
+    /// Index of its card in the shared geometry.
+    card: u32,
 }
 
 /// The technique's representation of a plant.
 #[derive(Debug)]
 pub struct Slicings {
     blend: ViewBlend,
-    /// `None` where no view needs it.
-    slicings: Vec<Option<Slicing>>,
+    /// Slices in order of rising offset; `None` where no view needs them.
+    slicings: Vec<Option<Vec<Slice>>>,
     cards: Arc<Geometry>,
     solid: Solid,
     opacity: Opacity,
@@ -114,13 +120,6 @@ pub struct Slicings {
     radius: f64,
     bounds: (DVec3, DVec3),
     origin: DVec3,
-}
-
-/// A correction with its numbers.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Opacity {
-    Linear { m: f64 },
-    Optical { tau: f64 },
 }
 
 /// What was measured while building, for the report.
@@ -136,292 +135,20 @@ pub struct Measured {
     pub large_leaf_count: usize,
 }
 
-impl Opacity {
-    /// Opacities of the shares, in the same order.
-    fn of(self, shares: &[(usize, f64)]) -> Vec<f64> {
-        let largest = shares.iter().map(|&(_, share)| share).fold(0.0, f64::max);
-        shares
-            .iter()
-            .map(|&(_, share)| match self {
-                Self::Linear { m } => (share * (1.0 + m * (1.0 - largest))).min(1.0),
-                Self::Optical { tau } if tau > 0.0 => libm::expm1(-share * tau) / libm::expm1(-tau),
-                Self::Optical { .. } => share,
-            })
-            .collect()
+/// Appends a slice's card, which is white: its texture is lit.
+fn push_card(buffers: &mut Buffers, rect: &BakeRect) -> u32 {
+    let first = u32::try_from(buffers.positions.len()).expect("few cards");
+    let uvs = [Vec2::new(0.0, 1.0), Vec2::ONE, Vec2::new(1.0, 0.0), Vec2::ZERO];
+    for (corner, uv) in rect.corners().into_iter().zip(uvs) {
+        buffers.positions.push(corner.as_vec3());
+        buffers.normals.push(rect.toward().as_vec3());
+        buffers.uvs.push(uv);
+        buffers.base.push(Vec4::ONE);
+        buffers.front.push(Vec3::ONE);
+        buffers.back.push(Vec3::ONE);
     }
-}
-
-/// A direction's axes and its slabs.
-#[derive(Debug, Clone, Copy)]
-struct Layout {
-    right: DVec3,
-    up: DVec3,
-    toward: DVec3,
-    spacing: f64,
-    count: usize,
-}
-
-impl Layout {
-    fn new(toward: DVec3, centers: &[DVec3], slice_count: usize, radius: f64) -> Self {
-        // world up, or -z for a direction that is up itself
-        let up_hint = if toward.y.abs() > 1.0 - 1e-9 { DVec3::NEG_Z } else { DVec3::Y };
-        let right = up_hint.cross(toward).normalize();
-        let up = toward.cross(right);
-        let depth = 2.0 * centers.iter().map(|p| toward.dot(*p).abs()).fold(0.0, f64::max);
-        let flat = depth < FLAT * radius;
-        let count = if flat { 1 } else { slice_count };
-        let spacing = if flat { 0.0 } else { depth / count as f64 };
-        Self { right, up, toward, spacing, count }
-    }
-
-    /// Offset of a slice's plane from the centre.
-    fn offset(&self, slice: usize) -> f64 {
-        (slice as f64 - (self.count as f64 - 1.0) / 2.0) * self.spacing
-    }
-
-    /// The slice nearest to an offset; between two, the lower.
-    fn nearest(&self, offset: f64) -> usize {
-        if self.spacing == 0.0 {
-            return 0;
-        }
-        let at = (offset / self.spacing + self.count as f64 / 2.0).ceil() - 1.0;
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
-        let slice = at.clamp(0.0, self.count as f64 - 1.0) as usize;
-        slice
-    }
-
-    /// Offsets between which a slice owns cut leaves; the outermost reach to infinity.
-    fn slab(&self, slice: usize) -> (f64, f64) {
-        let low =
-            if slice == 0 { f64::NEG_INFINITY } else { self.offset(slice) - self.spacing / 2.0 };
-        let high = if slice + 1 == self.count {
-            f64::INFINITY
-        } else {
-            // the same number as the next slab's lower end
-            self.offset(slice + 1) - self.spacing / 2.0
-        };
-        (low, high)
-    }
-}
-
-/// The foliage as the baker sees it, with positions relative to the crown's centre in f64.
-struct Crowned<'a> {
-    plant: &'a Plant,
-    geometry: Arc<Geometry>,
-    center: DVec3,
-    /// Largest distance of a leaf's vertex from the centre.
-    radius: f64,
-    /// Leaf centres relative to `center`.
-    leaf_centers: Vec<DVec3>,
-    /// Material of each triangle.
-    materials: Vec<u32>,
-}
-
-/// Where a slicing's leaves go.
-struct Assignment {
-    layout: Layout,
-    /// The shared rectangle, through the crown's centre.
-    rect: BakeRect,
-    /// By slice: leaves drawn whole, and leaves cut by the slab.
-    leaves: Vec<(Vec<usize>, Vec<usize>)>,
-}
-
-impl<'a> Crowned<'a> {
-    fn new(plant: &'a Plant) -> Result<Self, LodError> {
-        let foliage = &plant.foliage;
-        let Some(&first) = foliage.centers.first() else {
-            let why = "slicings need leaves; choose them with foliage=";
-            return Err(LodError::Empty { name: "foliage", why });
-        };
-        let spread = |(low, high): (Vec3, Vec3), &p: &Vec3| (low.min(p), high.max(p));
-        let (low, high) = foliage.centers.iter().fold((first, first), spread);
-        let center = (low.as_dvec3() + high.as_dvec3()) * 0.5;
-        let mut crowned = Self {
-            plant,
-            geometry: Geometry::new(Buffers::from_mesh(&foliage.mesh, 0)),
-            center,
-            radius: 0.0,
-            leaf_centers: foliage.centers.iter().map(|p| p.as_dvec3() - center).collect(),
-            materials: foliage.mesh.triangle_materials().collect(),
-        };
-        let leaves = 0..crowned.leaf_centers.len();
-        let distances = leaves.flat_map(|leaf| crowned.vertices_of(leaf)).map(DVec3::length);
-        crowned.radius = distances.fold(0.0, f64::max);
-        Ok(crowned)
-    }
-
-    fn vertices_of(&self, leaf: usize) -> impl Iterator<Item = DVec3> {
-        let mesh = &self.plant.foliage.mesh;
-        let triangles = self.plant.foliage.triangles_of(leaf);
-        triangles.flat_map(move |t| mesh.corners(t)).map(|p| p.as_dvec3() - self.center)
-    }
-
-    /// Smallest and largest offset of a leaf's vertices along a direction.
-    fn extent(&self, leaf: usize, direction: DVec3) -> (f64, f64) {
-        let offsets = self.vertices_of(leaf).map(|p| p.dot(direction));
-        offsets
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)))
-    }
-
-    /// Whether a leaf is longer than the spacing along a layout's direction.
-    fn is_large(&self, leaf: usize, layout: &Layout) -> bool {
-        let (low, high) = self.extent(leaf, layout.toward);
-        layout.count > 1 && high - low > layout.spacing
-    }
-
-    /// The rectangle through the centre that encloses every leaf as seen along a layout's direction.
-    fn rect(&self, layout: &Layout) -> BakeRect {
-        let half = (0..self.leaf_centers.len())
-            .into_par_iter()
-            .map(|leaf| {
-                self.vertices_of(leaf).fold(DVec2::ZERO, |half, p| {
-                    half.max(DVec2::new(p.dot(layout.right).abs(), p.dot(layout.up).abs()))
-                })
-            })
-            .reduce(|| DVec2::ZERO, DVec2::max);
-        // a crown that is a line or a point from here still needs a rectangle
-        let least = if self.radius > 0.0 { self.radius * FLAT } else { FLAT };
-        BakeRect {
-            center: self.center,
-            right: layout.right,
-            up: layout.up,
-            width: 2.0 * half.x.max(least),
-            height: 2.0 * half.y.max(least),
-            reach: 2.0 * self.radius.max(least),
-        }
-    }
-
-    /// Sorts the leaves of a slicing into its slices; `in_mesh` leaves go to none.
-    fn assign(&self, layout: Layout, in_mesh: &[bool]) -> Assignment {
-        let mut leaves = vec![(Vec::new(), Vec::new()); layout.count];
-        let placed: Vec<(bool, usize, usize)> = (0..self.leaf_centers.len())
-            .into_par_iter()
-            .map(|leaf| {
-                if self.is_large(leaf, &layout) {
-                    let (low, high) = self.extent(leaf, layout.toward);
-                    // a little wider than it is, since slabs are cut at f32 depths
-                    let margin = layout.spacing * 1e-3;
-                    (true, layout.nearest(low - margin), layout.nearest(high + margin))
-                } else {
-                    let slice = layout.nearest(self.leaf_centers[leaf].dot(layout.toward));
-                    (false, slice, slice)
-                }
-            })
-            .collect();
-        for (leaf, (large, first, last)) in placed.into_iter().enumerate() {
-            if in_mesh[leaf] {
-                continue;
-            }
-            for (whole, cut) in &mut leaves[first..=last] {
-                if large { cut.push(leaf) } else { whole.push(leaf) }
-            }
-        }
-        Assignment { layout, rect: self.rect(&layout), leaves }
-    }
-
-    /// The list that draws a slice's leaves for its bake.
-    fn list(&self, view: &View, assignment: &Assignment, slice: usize) -> DrawList {
-        let mut list = DrawList::default();
-        let source = list.geometry(&self.geometry);
-        let instances = list.instance(Instance::new(&DAffine3::IDENTITY, view));
-        let (whole, cut) = &assignment.leaves[slice];
-        let slab = assignment.slab(slice);
-        for (leaves, slab) in [(whole, None), (cut, Some(slab))] {
-            let mut triangles: Vec<usize> =
-                leaves.iter().flat_map(|&leaf| self.plant.foliage.triangles_of(leaf)).collect();
-            // blended leaves after the others and far to near, the rest as they come
-            let key = |t: usize| -> (bool, f64) {
-                let material = &self.plant.materials[self.materials[t] as usize];
-                let corners = self.plant.foliage.mesh.corners(t);
-                let height = corners.iter().map(|p| p.as_dvec3().dot(view.back)).sum();
-                let blended = blend_of(material) == Blend::Over;
-                (blended, if blended { height } else { 0.0 })
-            };
-            triangles.sort_by(|&a, &b| {
-                let (a, b) = (key(a), key(b));
-                a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
-            });
-            for run in triangles.chunk_by(|&a, &b| self.materials[a] == self.materials[b]) {
-                let material = &self.plant.materials[self.materials[run[0]] as usize];
-                let blend = blend_of(material);
-                let own = &mut list.own.buffers.indices;
-                let start = u32::try_from(own.len() / 3).expect("fits in u32");
-                let corners = &self.geometry.buffers().indices;
-                own.extend(run.iter().flat_map(|&t| &corners[t * 3..t * 3 + 3]));
-                let end = u32::try_from(own.len() / 3).expect("fits in u32");
-                let surface = material.texture.as_ref().map_or(Surface::VertexColor, |texture| {
-                    Surface::Textured { texture: list.texture(texture), sampler: material.sampler }
-                });
-                list.items.push(Item {
-                    primitive: Primitive::Triangles,
-                    vertices: source,
-                    indices: Source::Own,
-                    primitives: start..end,
-                    instances: instances.clone(),
-                    surface,
-                    blend,
-                    depth_write: blend != Blend::Over,
-                    slab,
-                });
-            }
-        }
-        list.items.sort_by_key(|item| item.blend == Blend::Over);
-        list
-    }
-}
-
-impl Assignment {
-    /// Depths, as the shared view measures them, between which a slice owns cut leaves. Neighbours
-    /// share the very same number, so each sample belongs to exactly one.
-    fn slab(&self, slice: usize) -> [f32; 2] {
-        let (low, high) = self.layout.slab(slice);
-        #[expect(clippy::cast_possible_truncation, reason = "depths are compared in f32")]
-        let depths = [self.rect.depth_of(high) as f32, self.rect.depth_of(low) as f32];
-        [depths[0].max(0.0), depths[1]]
-    }
-
-    /// Where a slice's card lies.
-    fn card(&self, slice: usize) -> BakeRect {
-        let offset = self.layout.toward * self.layout.offset(slice);
-        BakeRect { center: self.rect.center + offset, ..self.rect }
-    }
-}
-
-/// Alpha of a slicing's texels inside its silhouette, summed over slices, and how many there are.
-fn silhouette_alpha(images: &[LinearImage]) -> (f64, f64) {
-    let Some(first) = images.first() else { return (0.0, 0.0) };
-    let mut sum = (0.0, 0.0);
-    for texel in 0..first.texels.len() {
-        let alphas = images.iter().map(|image| f64::from(image.texels[texel].w));
-        let total: f64 = alphas.sum();
-        if total > 0.0 {
-            sum.0 += total;
-            sum.1 += images.len() as f64;
-        }
-    }
-    sum
-}
-
-/// Cards of all slicings in one geometry: lit by their textures, so white.
-struct Cards {
-    buffers: Buffers,
-}
-
-impl Cards {
-    fn push(&mut self, rect: &BakeRect) {
-        let buffers = &mut self.buffers;
-        let first = u32::try_from(buffers.positions.len()).expect("few cards");
-        let uvs = [Vec2::new(0.0, 1.0), Vec2::ONE, Vec2::new(1.0, 0.0), Vec2::ZERO];
-        for (corner, uv) in rect.corners().into_iter().zip(uvs) {
-            buffers.positions.push(corner.as_vec3());
-            buffers.normals.push(rect.toward().as_vec3());
-            buffers.uvs.push(uv);
-            buffers.base.push(Vec4::ONE);
-            buffers.front.push(Vec3::ONE);
-            buffers.back.push(Vec3::ONE);
-        }
-        buffers.indices.extend(first..first + 4);
-    }
+    buffers.indices.extend(first..first + 4);
+    first / 4
 }
 
 impl Slicings {
@@ -437,74 +164,73 @@ impl Slicings {
         if let Correction::Linear(m) = params.correction {
             check_in("correction", m, 0.0..=1e6)?;
         }
-        let wood = params.wood.of(plant)?;
+        samples::positions(params.sample_count)?;
         let crowned = Crowned::new(plant)?;
-        let directions = params.blend.directions();
-        let layouts: Vec<Layout> = directions
+        let layouts: Vec<Layout> = params
+            .blend
+            .directions()
             .iter()
             .map(|&toward| {
                 Layout::new(toward, &crowned.leaf_centers, params.slice_count, crowned.radius)
             })
             .collect();
-        let leaf_count = plant.foliage.leaf_count();
-        let large_in: Vec<usize> = (0..leaf_count)
-            .into_par_iter()
-            .map(|leaf| layouts.iter().filter(|layout| crowned.is_large(leaf, layout)).count())
-            .collect();
-        let in_mesh: Vec<bool> = large_in
-            .iter()
-            .map(|&count| params.large_leaves == LargeLeaves::Mesh && count > 0)
-            .collect();
-        let resolutions = needed_resolutions(&crowned, params)?;
-        job.begin(resolutions.iter().flatten().count() as u64 * params.slice_count as u64);
+        let resolutions = needed_resolutions(&crowned, &layouts, params, job)?;
+        if params.correction == Correction::Fit && resolutions.contains(&None) {
+            let why = "'fit' needs all slicings, and these views leave some out".to_owned();
+            return Err(LodError::Invalid { name: "correction", why });
+        }
+        let baked = || layouts.iter().zip(&resolutions).filter_map(|(l, r)| Some((l, (*r)?)));
+        let texels = |(layout, (width, height)): (&Layout, (u32, u32))| {
+            layout.count as u64 * u64::from(width) * u64::from(height)
+        };
+        check_limit("resolution", baked().map(texels).sum(), MAX_TOTAL_TEXELS, "texels")?;
+        job.begin(baked().map(|(layout, _)| layout.count as u64).sum());
+        let (in_mesh, large_leaf_count) = large_leaves(&crowned, &layouts, params, job)?;
+        let wood = params.wood.of(plant)?;
         let mut renderer = Renderer::default();
         let mut slicings = Vec::new();
-        let mut cards = Cards { buffers: Buffers::default() };
-        let mut alpha = (0.0, 0.0);
+        let mut cards = Buffers::default();
+        let mut alpha = SilhouetteAlpha::default();
         for (layout, resolution) in layouts.iter().zip(&resolutions) {
             let Some(resolution) = *resolution else {
                 slicings.push(None);
                 continue;
             };
+            job.check()?;
             let assignment = crowned.assign(*layout, &in_mesh);
             let view = assignment.rect.view(resolution)?;
-            let mut images = Vec::new();
             let mut slices = Vec::new();
-            let first_card = u32::try_from(cards.buffers.indices.len() / 4).expect("few cards");
             for slice in 0..layout.count {
                 let list = crowned.list(&view, &assignment, slice);
                 let image = bake(&mut renderer, &list, &view, params.sample_count, job)?;
-                let rect = assignment.card(slice);
-                cards.push(&rect);
+                alpha.add(&image);
                 let empty = image.texels.iter().all(|texel| texel.w == 0.0);
-                let texture = if empty {
+                let baked = if empty {
                     None
                 } else {
-                    Some(finish(&image, Keep::MeanAlpha, params.format)?)
+                    let rect = assignment.card(slice);
+                    let texture = finish(&image, Keep::MeanAlpha, params.format, job)?;
+                    Some(Baked { rect, texture, card: push_card(&mut cards, &rect) })
                 };
-                slices.push(Slice { rect, texture });
-                images.push(image);
+                slices.push(Slice { offset: layout.offset(slice), baked });
                 job.advance();
             }
-            let (sum, count) = silhouette_alpha(&images);
-            alpha = (alpha.0 + sum, alpha.1 + count);
-            slicings.push(Some(Slicing { slices, first_card }));
+            alpha.next_slicing();
+            slicings.push(Some(slices));
         }
-        let mean = if alpha.1 > 0.0 { alpha.0 / alpha.1 } else { 0.0 };
-        let tau = -libm::log1p(-mean.min(1.0 - 1e-9));
-        let large = leaves_mesh(plant, &in_mesh);
-        let wood_count = u32::try_from(plant.wood.triangles.len()).expect("checked by the plant");
-        let meshes = [(&wood, 0), (&large, wood_count)];
-        let mut bounds = box_of_cards(&cards.buffers);
-        for mesh in [&wood, &large] {
-            if let Some((low, high)) = mesh.bounds() {
-                bounds = (bounds.0.min(low.as_dvec3()), bounds.1.max(high.as_dvec3()));
-            }
-        }
+        let tau = alpha.tau();
+        let (large, large_ids) = leaves_mesh(&crowned, &in_mesh);
+        let meshes = [(&wood, Buffers::ids_from(0, &wood)), (&large, large_ids)];
+        let of_mesh = |mesh: &Mesh| mesh.bounds().map(|(low, high)| [low, high]);
+        let boxes = [&plant.foliage.mesh, &wood].into_iter().filter_map(of_mesh).flatten();
+        let corners = boxes.chain(cards.positions.iter().copied()).map(|p| p.as_dvec3());
+        let bounds = corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), corner| {
+            (low.min(corner), high.max(corner))
+        });
         let mut built = Self {
             blend: params.blend.clone(),
             slicings,
-            cards: Geometry::new(cards.buffers),
+            cards: Geometry::new(cards),
             solid: Solid::new(&meshes, &plant.materials, Filter::Bilinear),
             opacity: Opacity::Optical { tau },
             center: crowned.center,
@@ -512,17 +238,11 @@ impl Slicings {
             bounds,
             origin: plant.origin,
         };
-        let mut fitted = None;
-        match params.correction {
-            Correction::Linear(m) => built.opacity = Opacity::Linear { m },
-            Correction::Optical => {}
-            Correction::Fit => fitted = Some(built.fit(tau, job)?),
-        }
+        let fitted = built.correct(params.correction, tau, job)?;
         let m = match built.opacity {
             Opacity::Linear { m } => Some(m),
             Opacity::Optical { .. } => None,
         };
-        let large_leaf_count = large_in.iter().sum();
         Ok((built, Measured { m, fitted, tau, large_leaf_count }))
     }
 
@@ -531,16 +251,12 @@ impl Slicings {
         self.slicings.iter().map(Option::is_some).collect()
     }
 
-    /// Shares and opacities for one copy: ascending share, the last is primary.
-    fn shares(&self, view: &View, crown: &Crown) -> Vec<(usize, f64)> {
-        let from_center = crown.local_eye(view) - self.center;
-        let inside = from_center.length() < INSIDE * self.radius;
-        let toward = if view.is_orthographic() || inside {
-            crown.local_direction(view.back)
-        } else {
-            from_center
-        };
-        self.blend.shares(toward, crown.local_direction(view.up))
+    /// Slicing, slice, and what was baked for it.
+    fn baked_slices(&self) -> impl Iterator<Item = (usize, usize, &Baked)> {
+        self.slicings.iter().enumerate().flat_map(|(number, slices)| {
+            let slices = slices.iter().flatten().enumerate();
+            slices.filter_map(move |(index, slice)| Some((number, index, slice.baked.as_ref()?)))
+        })
     }
 
     fn emit_slices(
@@ -549,13 +265,14 @@ impl Slicings {
         crown: &Crown,
         builder: &mut ListBuilder,
     ) -> Result<(), LodError> {
-        let shares = self.shares(view, crown);
+        let viewer = Viewer::new(view, crown, self.center, self.radius);
+        let shares = viewer.shares(&self.blend);
         let opacities = self.opacity.of(&shares);
         let source = builder.list.geometry(&self.cards);
         // (depth rank in [0, 1], place among the shares, item)
         let mut items: Vec<(f64, usize, Item)> = Vec::new();
         for (place, (&(number, _), opacity)) in shares.iter().zip(opacities).enumerate() {
-            let Some(slicing) = &self.slicings[number] else {
+            let Some(slices) = &self.slicings[number] else {
                 let why = format!(
                     "this camera needs slicing {number}, which was not baked; build with it in views"
                 );
@@ -566,17 +283,20 @@ impl Slicings {
             let stored = opacity as f32;
             instance.tint.w = stored;
             let instances = builder.list.instance(instance);
-            for (index, slice) in slicing.slices.iter().enumerate() {
-                let Some(texture) = &slice.texture else { continue };
-                let card = slicing.first_card + u32::try_from(index).expect("few slices");
+            let distance =
+                |slice: &Slice| viewer.distance(self.blend.directions()[number], slice.offset);
+            let mut far_to_near: Vec<&Slice> = slices.iter().collect();
+            far_to_near.sort_by(|a, b| distance(b).total_cmp(&distance(a)));
+            for (index, slice) in far_to_near.into_iter().enumerate() {
+                let Some(baked) = &slice.baked else { continue };
                 let sampler = Sampler { wrap: [Wrap::Clamp; 2], filter: Filter::Trilinear };
-                let texture = builder.list.texture(texture);
-                let rank = (index as f64 + 0.5) / slicing.slices.len() as f64;
+                let texture = builder.list.texture(&baked.texture);
+                let rank = (index as f64 + 0.5) / slices.len() as f64;
                 let item = Item {
                     primitive: Primitive::Cards,
                     vertices: source,
                     indices: source,
-                    primitives: card..card + 1,
+                    primitives: baked.card..baked.card + 1,
                     instances: instances.clone(),
                     surface: Surface::Textured { texture, sampler },
                     blend: Blend::Over,
@@ -593,136 +313,110 @@ impl Slicings {
         }
         Ok(())
     }
+}
 
-    /// Mean alpha of the slices in a parallel view that frames the crown.
-    fn mean_alpha(&self, toward: DVec3, job: &Job) -> Result<f64, LodError> {
-        let projection = Projection::Orthographic { height: 2.0 * self.radius };
-        let up = if toward.y.abs() > 0.99 { DVec3::NEG_Z } else { DVec3::Y };
-        let eye = self.center + toward * (4.0 * self.radius);
-        let size = (FIT_SIDE, FIT_SIDE);
-        let view = View::new(eye, self.center, up, projection, size, self.radius * 1e-3)?;
-        let crown =
-            Crown { world_from_local: DAffine3::IDENTITY, distance: 0.0, rank: 0, key: (0, 0) };
-        let mut builder = ListBuilder::default();
-        self.emit_slices(&view, &crown, &mut builder)?;
-        let settings =
-            Settings { sample_count: 1, outputs: Outputs::COLOR, background: Vec4::ZERO };
-        let frame = Renderer::default().render(&builder.finish(), &view, &settings, job)?;
-        let sum: f64 = frame.color.iter().map(|pixel| f64::from(pixel.w)).sum();
-        Ok(sum / frame.color.len() as f64)
+/// A camera as a crown sees it, in the crown's coordinates.
+struct Viewer {
+    /// Relative to the crown's centre; `None` for parallel views.
+    eye: Option<DVec3>,
+    /// From the crown to the viewer, any length.
+    toward: DVec3,
+    /// The picture's up.
+    up: DVec3,
+}
+
+impl Viewer {
+    fn new(view: &View, crown: &Crown, center: DVec3, radius: f64) -> Self {
+        let back = crown.local_direction(view.back);
+        let eye = (!view.is_orthographic()).then(|| crown.local_eye(view) - center);
+        // equal where both are 0
+        let outside = eye.filter(|eye| eye.length() > INSIDE * radius);
+        let up = crown.local_direction(view.up);
+        Self { eye, toward: outside.unwrap_or(back), up }
     }
 
-    /// Bisects for the multiplier with which the crown is as opaque from all around as on its
-    /// directions; whether there is one in the interval.
-    fn fit(&mut self, tau: f64, job: &Job) -> Result<bool, LodError> {
-        let directions = self.blend.directions().to_vec();
-        if self.slicings.iter().any(Option::is_none) {
-            let why = "needs all slicings: use it without views".to_owned();
-            return Err(LodError::Invalid { name: "correction", why });
+    fn shares(&self, blend: &ViewBlend) -> Vec<(usize, f64)> {
+        blend.shares(self.toward, self.up)
+    }
+
+    /// How far behind others of its slicing a slice is seen. No ray from an eye meets slices on both
+    /// sides of it, so the distance from the slice's plane orders those in front as well as those
+    /// behind; a parallel view sees all from the same side.
+    fn distance(&self, direction: DVec3, offset: f64) -> f64 {
+        match self.eye {
+            Some(eye) => (eye.dot(direction) - offset).abs(),
+            None if self.toward.dot(direction) < 0.0 => offset,
+            None => -offset,
         }
-        let level = directions.iter().all(|d| d.y.abs() < 1e-9);
-        let around: Vec<DVec3> = if level { circle(FIT_AZIMUTHS) } else { sphere(FIT_AZIMUTHS) };
-        let mean = |lod: &Self, over: &[DVec3]| -> Result<f64, LodError> {
-            let alphas: Result<Vec<f64>, LodError> =
-                over.par_iter().map(|&toward| lod.mean_alpha(toward, job)).collect();
-            Ok(alphas?.iter().sum::<f64>() / over.len() as f64)
-        };
-        let wanted = mean(self, &directions)?;
-        let mut excess = |m: f64| -> Result<f64, LodError> {
-            self.opacity = Opacity::Linear { m };
-            Ok(mean(self, &around)? - wanted)
-        };
-        let (mut low, mut high) = (0.0, MAX_M);
-        let ends = (excess(low)?, excess(high)?);
-        if ends.0 > 0.0 || ends.1 < 0.0 {
-            let nearer = if ends.0.abs() <= ends.1.abs() { low } else { high };
-            self.opacity = Opacity::Linear { m: nearer };
-            return Ok(false);
-        }
-        let mut m = (2.0 * libm::tanh(tau / 4.0)).clamp(low, high);
-        for _ in 0..FIT_STEPS {
-            if excess(m)? < 0.0 {
-                low = m
-            } else {
-                high = m
-            }
-            m = (low + high) * 0.5;
-        }
-        self.opacity = Opacity::Linear { m };
-        Ok(true)
     }
 }
 
-/// Largest multiplier that a fit tries.
-const MAX_M: f64 = 4.0;
-
-/// Directions over which a fit averages; a multiple of the usual slicing counts.
-const FIT_AZIMUTHS: usize = 36;
-
-/// Halvings of [0, 4]: the last interval is 1e-3 wide.
-const FIT_STEPS: usize = 12;
-
-/// Pixels a side of a fit's pictures: slices are read through mips, so few are enough.
-const FIT_SIDE: u32 = 96;
-
-/// `count` directions evenly on the sphere: a Fibonacci lattice.
-pub fn sphere(count: usize) -> Vec<DVec3> {
-    let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
-    (0..count)
-        .map(|index| {
-            let y = 1.0 - (2.0 * index as f64 + 1.0) / count as f64;
-            let across = (1.0 - y * y).sqrt();
-            let angle = golden * index as f64;
-            DVec3::new(across * libm::sin(angle), y, across * libm::cos(angle))
-        })
-        .collect()
+/// Which leaves stay in the mesh, and how many are longer than a spacing, summed over slicings. A leaf
+/// that is too long for one slicing stays there for all, or views between two would draw it twice.
+fn large_leaves(
+    crowned: &Crowned<'_>,
+    layouts: &[Layout],
+    params: &Params,
+    job: &Job,
+) -> Result<(Vec<bool>, usize), LodError> {
+    let mut large_in = vec![0_usize; crowned.leaf_centers.len()];
+    for layout in layouts {
+        job.check()?;
+        large_in
+            .par_iter_mut()
+            .enumerate()
+            .for_each(|(leaf, count)| *count += usize::from(crowned.is_large(leaf, layout)));
+    }
+    let to_mesh = params.large_leaves == LargeLeaves::Mesh;
+    let in_mesh = large_in.iter().map(|&count| to_mesh && count > 0).collect();
+    Ok((in_mesh, large_in.iter().sum()))
 }
 
-/// The leaves that stay in the mesh.
-fn leaves_mesh(plant: &Plant, in_mesh: &[bool]) -> Mesh {
-    let foliage = &plant.foliage;
+/// The leaves that stay in the mesh, with the plant's own ids of their triangles.
+fn leaves_mesh(crowned: &Crowned<'_>, in_mesh: &[bool]) -> (Mesh, Vec<u32>) {
+    let foliage = &crowned.plant.foliage;
     if !in_mesh.contains(&true) {
-        return Mesh::default();
+        return (Mesh::default(), Vec::new());
     }
-    let materials: Vec<u32> = foliage.mesh.triangle_materials().collect();
     let kept: Vec<usize> = (0..in_mesh.len())
         .filter(|&leaf| in_mesh[leaf])
         .flat_map(|leaf| foliage.triangles_of(leaf))
         .collect();
-    let ids: Vec<u32> = kept.iter().map(|&t| materials[t]).collect();
-    Mesh {
+    let material_ids: Vec<u32> = kept.iter().map(|&t| crowned.materials[t]).collect();
+    let first = crowned.plant.wood.triangles.len();
+    let id = |&t: &usize| u32::try_from(first + t).expect("checked by the plant");
+    let mesh = Mesh {
         triangles: kept.iter().map(|&t| foliage.mesh.triangles[t]).collect(),
-        parts: Mesh::parts_from_ids(&ids),
+        parts: Mesh::parts_from_ids(&material_ids),
         ..foliage.mesh.clone()
-    }
-    .without_unused_vertices()
-}
-
-fn box_of_cards(buffers: &Buffers) -> (DVec3, DVec3) {
-    let corners = buffers.positions.iter().map(|p| p.as_dvec3());
-    let empty = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    corners.fold(empty, |(low, high), p| (low.min(p), high.max(p)))
+    };
+    (mesh.without_unused_vertices(), kept.iter().map(id).collect())
 }
 
 /// Texels of each slicing: those of the nearest view that shows it, `None` if no view does.
 fn needed_resolutions(
     crowned: &Crowned<'_>,
+    layouts: &[Layout],
     params: &Params,
+    job: &Job,
 ) -> Result<Vec<Option<(u32, u32)>>, LodError> {
-    let count = params.blend.directions().len();
-    let Some(views) = &params.views else { return Ok(vec![Some(params.resolution); count]) };
+    let Some(views) = &params.views else {
+        return Ok(vec![Some(params.resolution); layouts.len()]);
+    };
     if views.is_empty() {
         let why = "give at least one camera, or None for all directions";
         return Err(LodError::Empty { name: "views", why });
     }
-    let mut needed: Vec<Option<f64>> = vec![None; count];
+    // placed as a scene places a single copy, so that both come to the same shares
+    let world_from_local = DAffine3::from_translation(crowned.plant.origin);
+    let crown = Crown { world_from_local, distance: 0.0, rank: 0, key: (0, 0) };
+    let mut needed: Vec<Option<f64>> = vec![None; layouts.len()];
     for view in views {
-        let from_center = view.eye - (crowned.center + crowned.plant.origin);
-        let inside = from_center.length() < INSIDE * crowned.radius;
-        let toward = if view.is_orthographic() || inside { view.back } else { from_center };
-        let nearest = (from_center.length() - crowned.radius).max(view.near);
+        let viewer = Viewer::new(view, &crown, crowned.center, crowned.radius);
+        let from_eye = viewer.eye.map_or(0.0, DVec3::length);
+        let nearest = (from_eye - crowned.radius).max(view.near);
         let per_metre = 1.0 / view.pixel_size_at(nearest);
-        for (number, _) in params.blend.shares(toward, view.up) {
+        for (number, _) in viewer.shares(&params.blend) {
             let most = needed[number].get_or_insert(0.0);
             *most = most.max(per_metre);
         }
@@ -732,23 +426,19 @@ fn needed_resolutions(
         let texels = (per_metre * metres).ceil().clamp(1.0, f64::from(limit)) as u32;
         texels
     };
-    Ok(params
-        .blend
-        .directions()
+    layouts
         .iter()
         .zip(needed)
-        .map(|(&toward, per_metre)| {
-            let layout =
-                Layout::new(toward, &crowned.leaf_centers, params.slice_count, crowned.radius);
-            let rect = crowned.rect(&layout);
-            per_metre.map(|per_metre| {
-                (
-                    texels(per_metre, rect.width, params.resolution.0),
-                    texels(per_metre, rect.height, params.resolution.1),
-                )
-            })
+        .map(|(layout, per_metre)| {
+            job.check()?;
+            let Some(per_metre) = per_metre else { return Ok(None) };
+            let rect = crowned.rect(layout);
+            Ok(Some((
+                texels(per_metre, rect.width, params.resolution.0),
+                texels(per_metre, rect.height, params.resolution.1),
+            )))
         })
-        .collect())
+        .collect()
 }
 
 impl Representation for Slicings {
@@ -762,32 +452,23 @@ impl Representation for Slicings {
 
     fn footprint(&self) -> Footprint {
         let solid = self.solid.footprint();
-        let slices = || self.slicings.iter().flatten().flat_map(|slicing| &slicing.slices);
-        let stored = slices().filter_map(|slice| slice.texture.as_ref());
+        let baked = || self.baked_slices().map(|(_, _, baked)| baked);
         Footprint {
-            card_count: slices().filter(|slice| slice.texture.is_some()).count() as u64,
+            card_count: baked().count() as u64,
             geometry_bytes: solid.geometry_bytes + self.cards.buffers().byte_count(),
             texture_bytes: solid.texture_bytes
-                + stored.map(|texture| texture.byte_count()).sum::<u64>(),
+                + baked().map(|baked| baked.texture.byte_count()).sum::<u64>(),
             ..solid
         }
     }
 
     fn textures(&self) -> Vec<NamedTexture> {
-        let mut named = Vec::new();
-        for (number, slicing) in self.slicings.iter().enumerate() {
-            for (index, slice) in slicing.iter().flat_map(|s| s.slices.iter().enumerate()) {
-                if let Some(texture) = &slice.texture {
-                    named.push(NamedTexture {
-                        name: format!("slicing {number}, slice {index}"),
-                        texture: Arc::clone(texture),
-                        rect: Some(slice.rect),
-                    });
-                }
-            }
-        }
-        named.extend(self.solid.textures());
-        named
+        let named = |(number, index, baked): (usize, usize, &Baked)| NamedTexture {
+            name: format!("slicing {number}, slice {index}"),
+            texture: Arc::clone(&baked.texture),
+            rect: Some(baked.rect),
+        };
+        self.baked_slices().map(named).chain(self.solid.textures()).collect()
     }
 
     fn emit(

@@ -42,12 +42,12 @@ pub fn blend_of(material: &Material) -> Blend {
 }
 
 impl Solid {
-    /// Takes meshes over, in order; `first_ids` are the ids of each one's first triangle.
-    pub fn new(meshes: &[(&Mesh, u32)], materials: &[Material], filter: Filter) -> Self {
+    /// Takes meshes over, in order, each with the ids of its triangles.
+    pub fn new(meshes: &[(&Mesh, Vec<u32>)], materials: &[Material], filter: Filter) -> Self {
         let mut buffers = Buffers::default();
         let mut runs: Vec<Run> = Vec::new();
         let mut blended = Vec::new();
-        for &(mesh, first_id) in meshes {
+        for (mesh, ids) in meshes {
             let first_vertex =
                 u32::try_from(buffers.positions.len()).expect("checked by the plant");
             let first_triangle =
@@ -65,7 +65,7 @@ impl Solid {
                     runs.push(Run { material: part.material, triangles: range });
                 }
             }
-            buffers.append(Buffers::from_mesh(mesh, first_id), first_vertex);
+            buffers.append(Buffers::from_mesh(mesh, ids.clone()), first_vertex);
         }
         let materials = materials
             .iter()
@@ -211,5 +211,185 @@ impl Solid {
             depth_write: blend != Blend::Over,
             slab: None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DAffine3, Vec2, Vec3, Vec4};
+
+    use super::*;
+    use crate::draw_list::DrawList;
+    use crate::texture::{Image, Texture};
+    use crate::view::Projection;
+
+    fn material(alpha_mode: AlphaMode, texture: Option<&Arc<Texture>>) -> Material {
+        Material {
+            name: "m".to_owned(),
+            texture: texture.cloned(),
+            sampler: Sampler::default(),
+            alpha_mode,
+            double_sided: false,
+        }
+    }
+
+    /// A triangle around each point of the z axis, with a material each.
+    fn stack(heights: &[f32], material_ids: &[u32]) -> Mesh {
+        let positions: Vec<Vec3> = heights
+            .iter()
+            .flat_map(|&z| {
+                [Vec3::X, Vec3::Y, -Vec3::ONE].map(|p| p * 0.1 + Vec3::Z * (z + 0.1 / 3.0))
+            })
+            .collect();
+        let count = u32::try_from(positions.len()).expect("few");
+        Mesh {
+            normals: vec![Vec3::Z; positions.len()],
+            uvs: vec![Vec2::ZERO; positions.len()],
+            base: vec![Vec4::ONE; positions.len()],
+            front: vec![Vec3::ONE; positions.len()],
+            back: vec![Vec3::ONE; positions.len()],
+            triangles: (0..count).step_by(3).map(|v| [v, v + 1, v + 2]).collect(),
+            parts: Mesh::parts_from_ids(material_ids),
+            positions,
+        }
+    }
+
+    fn view(eye: DVec3, projection: Projection) -> View {
+        View::new(eye, DVec3::ZERO, DVec3::Y, projection, (8, 8), 1e-3).expect("valid")
+    }
+
+    fn crowns(places: &[f64]) -> Vec<Crown> {
+        (0..)
+            .zip(places)
+            .map(|(rank, &z)| {
+                let world_from_local = DAffine3::from_translation(DVec3::Z * z);
+                Crown { world_from_local, distance: 0.0, rank, key: (0, rank) }
+            })
+            .collect()
+    }
+
+    fn emit(solid: &Solid, view: &View, crowns: &[Crown], state: &mut ViewState) -> DrawList {
+        let mut builder = ListBuilder::default();
+        solid.emit(view, crowns, state, &mut builder);
+        let list = builder.finish();
+        list.check().expect("consistent");
+        list
+    }
+
+    /// World depths of a list's blended triangles, in paint order.
+    fn blended_ids(list: &DrawList) -> Vec<(u32, f32)> {
+        let over = list.items.iter().filter(|item| item.blend == Blend::Over);
+        over.flat_map(|item| {
+            let z = list.instances[item.instances.start as usize].translation.z;
+            item.primitives.clone().map(move |p| (list.own.buffers.source_ids[p as usize], z))
+        })
+        .collect()
+    }
+
+    const MODES: [AlphaMode; 3] =
+        [AlphaMode::Opaque, AlphaMode::Mask { cutoff: 0.25 }, AlphaMode::Blend];
+
+    fn solid() -> Solid {
+        // opaque, tested, and two blended materials in turn: 2 and 3
+        let mesh = stack(&[5.0, 0.0, 2.0, -1.0, 1.0, 2.0], &[0, 1, 2, 3, 2, 2]);
+        let blended = material(AlphaMode::Blend, None);
+        let materials =
+            [material(MODES[0], None), material(MODES[1], None), blended.clone(), blended];
+        Solid::new(&[(&mesh, vec![10, 11, 12, 13, 14, 15])], &materials, Filter::Trilinear)
+    }
+
+    #[test]
+    fn blended_triangles_go_far_to_near_after_the_others() {
+        let solid = solid();
+        let parallel = Projection::Orthographic { height: 4.0 };
+        for projection in [Projection::Perspective { fov_y: 1.0 }, parallel] {
+            let order = |eye: f64| {
+                let view = view(DVec3::Z * eye, projection);
+                let list = emit(&solid, &view, &crowns(&[0.0]), &mut ViewState::default());
+                let kinds: Vec<Blend> = list.items.iter().map(|item| item.blend).collect();
+                assert_eq!(kinds[..2], [Blend::Opaque, Blend::Test(0.25)], "first");
+                assert!(list.items.iter().all(|i| i.depth_write == (i.blend != Blend::Over)), "z");
+                blended_ids(&list).into_iter().map(|(id, _)| id).collect::<Vec<_>>()
+            };
+            assert_eq!(order(9.0), [13, 14, 12, 15], "from the front; equals by index");
+            assert_eq!(order(-9.0), [12, 15, 14, 13], "from behind");
+        }
+    }
+
+    #[test]
+    fn a_fresh_memory_and_a_used_one_give_the_same_list() {
+        let solid = solid();
+        let mut used = ViewState::default();
+        let placed = crowns(&[-3.0, 0.5]);
+        for step in 0..20 {
+            let angle = f64::from(step) * 0.5;
+            let eye = DVec3::new(libm::sin(angle), 0.2, libm::cos(angle)) * 9.0;
+            let view = view(eye, Projection::Perspective { fov_y: 1.0 });
+            let fresh = emit(&solid, &view, &placed, &mut ViewState::default());
+            let again = emit(&solid, &view, &placed, &mut used);
+            assert_eq!(fresh.items, again.items, "step {step}");
+            assert_eq!(fresh.own, again.own, "step {step}");
+            assert_eq!(fresh.instances, again.instances, "step {step}");
+        }
+        // a memory of another plant's
+        used.slot::<Vec<u32>>((0, 0)).truncate(2);
+        *used.slot::<String>((0, 1)) = "of another kind".to_owned();
+        let view = view(DVec3::Z * 9.0, Projection::Perspective { fov_y: 1.0 });
+        let fresh = emit(&solid, &view, &placed, &mut ViewState::default());
+        assert_eq!(fresh.own, emit(&solid, &view, &placed, &mut used).own, "from a wrong one");
+    }
+
+    #[test]
+    fn copies_share_opaque_items_and_are_blended_one_by_one() {
+        let solid = solid();
+        let view = view(DVec3::Z * 30.0, Projection::Perspective { fov_y: 1.0 });
+        let list = emit(&solid, &view, &crowns(&[-8.0, 0.0, 8.0]), &mut ViewState::default());
+        assert_eq!(list.items[0].instances, 0..3, "one item for all copies");
+        let depths: Vec<f32> = list.instances.iter().map(|i| i.translation.z).collect();
+        assert_eq!(depths, [-22.0, -30.0, -38.0], "near ones first, which hide the others");
+        let expected: Vec<(u32, f32)> = [-38.0, -30.0, -22.0]
+            .into_iter()
+            .flat_map(|z| [13, 14, 12, 15].map(|id| (id, z)))
+            .collect();
+        assert_eq!(blended_ids(&list), expected, "far copies first");
+        assert!(emit(&solid, &view, &[], &mut ViewState::default()).items.is_empty(), "no copy");
+        let nothing = Solid::new(&[], &[], Filter::Nearest);
+        let list = emit(&nothing, &view, &crowns(&[0.0]), &mut ViewState::default());
+        assert!(list.items.is_empty() && list.instances.is_empty(), "no triangle");
+    }
+
+    #[test]
+    fn meshes_are_joined_and_counted() {
+        let texture = Texture::new(vec![Image::new(1, 1, vec![[9; 4]]).expect("valid")]);
+        let texture = texture.expect("valid");
+        let materials = [
+            material(MODES[0], Some(&texture)),
+            material(MODES[1], Some(&texture)),
+            material(MODES[2], None),
+        ];
+        let (one, two) = (stack(&[1.0], &[0]), stack(&[2.0, 3.0], &[1, 2]));
+        let meshes = [(&one, vec![7]), (&two, vec![20, 3])];
+        let solid = Solid::new(&meshes, &materials, Filter::Nearest);
+        let footprint = solid.footprint();
+        assert_eq!(footprint.triangle_count, 3, "one and two");
+        // 9 vertices of 4 vectors of 3, one of 2 and one of 4 floats; 9 indices
+        assert_eq!(footprint.geometry_bytes, 9 * (4 * 3 + 2 + 4) * 4 + 9 * 4, "bytes");
+        assert_eq!(footprint.texture_bytes, 4, "one texel, counted once");
+        assert_eq!(solid.textures().len(), 1, "named once");
+        let view = view(DVec3::Z * 9.0, Projection::Perspective { fov_y: 1.0 });
+        let list = emit(&solid, &view, &crowns(&[0.0]), &mut ViewState::default());
+        let buffers = list.geometries[0].buffers();
+        assert_eq!(buffers.indices, (0..9).collect::<Vec<u32>>(), "vertices follow on");
+        assert_eq!(buffers.source_ids, [7, 20, 3], "ids as given");
+        assert_eq!(blended_ids(&list), [(3, -9.0)], "and kept when sorted");
+        let filters: Vec<Filter> = list
+            .items
+            .iter()
+            .filter_map(|item| match item.surface {
+                Surface::Textured { sampler, .. } => Some(sampler.filter),
+                Surface::VertexColor => None,
+            })
+            .collect();
+        assert_eq!(filters, [Filter::Nearest; 2], "read as asked for");
     }
 }

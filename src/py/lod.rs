@@ -175,7 +175,7 @@ pub(super) enum CorrectionFacts {
 #[pyfunction]
 pub(super) fn sphere_directions(count: usize) -> Result<Vec<[f64; 3]>, LodError> {
     crate::error::check_in("slicing_count", count, 1..=4096)?;
-    Ok(lod::slicings::sphere(count).into_iter().map(|direction| direction.to_array()).collect())
+    Ok(lod::view_blend::sphere(count).into_iter().map(|direction| direction.to_array()).collect())
 }
 
 /// Points on the horizontal unit circle, evenly, from +z, counter-clockwise from above.

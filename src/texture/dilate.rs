@@ -7,38 +7,54 @@
 //! Steven Gortler, Radek Grzeszczuk, Richard Szeliski, Michael Cohen. The Lumigraph. 1996
 
 use glam::{Vec3, Vec4, Vec4Swizzles};
+use rayon::prelude::*;
 
+use crate::error::LodError;
 use crate::texture::linear::LinearImage;
 use crate::texture::srgb::{srgb8_from_linear, unorm8};
 use crate::texture::texture::Image;
 
+/// Called often by what may take long; its error ends the work.
+pub type Check<'a> = dyn Fn() -> Result<(), LodError> + Sync + 'a;
+
 /// Straight 8-bit sRGB of a premultiplied picture, with colour in every texel if any has one.
-pub fn dilated(image: &LinearImage) -> Image {
-    let mut levels = vec![image.clone()];
-    while levels.last().is_some_and(|level| level.width > 1 || level.height > 1) {
-        let halved = levels.last().expect("just seen").halved();
-        levels.push(halved);
+///
+/// # Errors
+/// Whatever `check` returns.
+pub fn dilated(image: &LinearImage, check: &Check<'_>) -> Result<Image, LodError> {
+    let mut coarser: Vec<LinearImage> = Vec::new();
+    loop {
+        check()?;
+        let last = coarser.last().unwrap_or(image);
+        if last.width == 1 && last.height == 1 {
+            break;
+        }
+        let halved = last.halved();
+        coarser.push(halved);
     }
-    let texels = (0..image.height)
-        .flat_map(|y| (0..image.width).map(move |x| (x, y)))
-        .map(|(x, y)| {
-            let own = image.texel(x, y);
-            let [r, g, b] = color_at(&levels, x, y).to_array().map(srgb8_from_linear);
-            [r, g, b, unorm8(own.w)]
-        })
-        .collect();
-    Image { width: image.width, height: image.height, texels }
+    let width = image.width as usize;
+    let mut texels = vec![[0; 4]; image.texels.len()];
+    texels.par_chunks_mut(width).zip(0..image.height).try_for_each(|(row, y)| {
+        check()?;
+        for (texel, x) in row.iter_mut().zip(0..) {
+            let [r, g, b] = color_at(image, &coarser, x, y).to_array().map(srgb8_from_linear);
+            *texel = [r, g, b, unorm8(image.texel(x, y).w)];
+        }
+        Ok(())
+    })?;
+    Ok(Image { width: image.width, height: image.height, texels })
 }
 
 /// Straight colour of the finest level that has one above a texel; black if none has.
-fn color_at(levels: &[LinearImage], x: u32, y: u32) -> Vec3 {
-    for level in levels {
-        let base = &levels[0];
+fn color_at(base: &LinearImage, coarser: &[LinearImage], x: u32, y: u32) -> Vec3 {
+    let place = |at: u32, size: u32, base_size: u32| {
+        let inside = u64::from(at) * u64::from(size) / u64::from(base_size);
+        u32::try_from(inside).expect("inside")
+    };
+    for level in std::iter::once(base).chain(coarser) {
         // the level's texel that lies over this one
-        let column = u64::from(x) * u64::from(level.width) / u64::from(base.width);
-        let row = u64::from(y) * u64::from(level.height) / u64::from(base.height);
-        let texel: Vec4 = level
-            .texel(u32::try_from(column).expect("inside"), u32::try_from(row).expect("inside"));
+        let column = place(x, level.width, base.width);
+        let texel: Vec4 = level.texel(column, place(y, level.height, base.height));
         if texel.w > 0.0 {
             return texel.xyz() / texel.w;
         }
@@ -49,6 +65,10 @@ fn color_at(levels: &[LinearImage], x: u32, y: u32) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn dilated(image: &LinearImage) -> Image {
+        super::dilated(image, &|| Ok(())).expect("nobody stops it")
+    }
 
     #[test]
     fn empty_texels_take_their_neighbours_colour() {

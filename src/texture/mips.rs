@@ -3,14 +3,16 @@
 //! Cards that are *blended* keep their mean alpha: each level is the area mean of the one before.
 //! Cards that are *alpha-tested* keep their coverage, the share of texels with alpha at or above the
 //! cutoff: on each level the cutoff that would give the base's coverage is found, and alpha is
-//! scaled so that it becomes the real one. Empty texels of every level take a neighbour's colour. On a stack of cards the wrong one of the two is far off.
+//! scaled so that it becomes the real one. Empty texels of every level take a neighbour's colour.
+//! On a stack of cards the wrong one of the two is far off.
 //!
 //! This work is based on:
 //! Ignacio Castano. Computing Alpha Mipmaps. 2010
 
 use glam::Vec4;
 
-use crate::texture::dilate::dilated;
+use crate::error::LodError;
+use crate::texture::dilate::{Check, dilated};
 use crate::texture::linear::LinearImage;
 use crate::texture::texture::Image;
 
@@ -27,7 +29,10 @@ pub enum Keep {
 }
 
 /// All levels of an image, finest first, down to one texel.
-pub fn levels(base: Image, keep: Keep) -> Vec<Image> {
+///
+/// # Errors
+/// Whatever `check` returns, which is called often so that a long run can be stopped.
+pub fn levels(base: Image, keep: Keep, check: &Check<'_>) -> Result<Vec<Image>, LodError> {
     let mut linear = LinearImage::decoded(&base);
     let wanted = match keep {
         Keep::MeanAlpha => 0.0,
@@ -37,11 +42,11 @@ pub fn levels(base: Image, keep: Keep) -> Vec<Image> {
     while linear.width > 1 || linear.height > 1 {
         linear = linear.halved();
         levels.push(match keep {
-            Keep::MeanAlpha => dilated(&linear),
-            Keep::Coverage { cutoff } => dilated(&with_coverage(&linear, cutoff, wanted)),
+            Keep::MeanAlpha => dilated(&linear, check)?,
+            Keep::Coverage { cutoff } => dilated(&with_coverage(&linear, cutoff, wanted), check)?,
         });
     }
-    levels
+    Ok(levels)
 }
 
 /// Share of texels with alpha at or above the cutoff.
@@ -84,6 +89,10 @@ fn with_coverage(level: &LinearImage, cutoff: f32, wanted: f64) -> LinearImage {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn levels(base: Image, keep: Keep) -> Vec<Image> {
+        super::levels(base, keep, &|| Ok(())).expect("nobody stops it")
+    }
 
     fn alphas(width: u32, values: &[u8]) -> Image {
         let height = u32::try_from(values.len()).expect("small") / width;

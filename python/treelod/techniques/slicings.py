@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -13,7 +14,7 @@ from treelod.render import camera_facts
 from treelod.techniques.technique import Technique, wood_facts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -129,6 +130,8 @@ class Slicings(Technique):
         ------
         ValueError
             If an argument is out of range, or if the plant has no leaves.
+        LimitError
+            If all slices together would have more than 2**29 texels.
 
         Notes
         -----
@@ -147,7 +150,7 @@ class Slicings(Technique):
         >>> lod.footprint.cards
         12
         """
-        width, height = (resolution, resolution) if np.ndim(resolution) == 0 else resolution  # type: ignore[misc]
+        width, height = _resolution(resolution)
         directions, triangles = _directions(orientations, slicing_count)
         wood_params = wood_facts(wood=wood, wood_triangle_count=wood_triangle_count)
         facts = None if views is None else [camera_facts(camera) for camera in views]
@@ -157,7 +160,7 @@ class Slicings(Technique):
             directions,
             triangles,
             slice_count=_count("slice_count", slice_count),
-            resolution=(_count("resolution", width), _count("resolution", height)),
+            resolution=(width, height),
             samples=_count("samples", samples),
             correction=correction if isinstance(correction, str) else float(correction),
             large_leaves=large_leaves,
@@ -181,6 +184,17 @@ class Slicings(Technique):
             **wood_params,
         }
         return cls(core, params, secs, measured)
+
+
+def _resolution(resolution: int | tuple[int, int]) -> tuple[int, int]:
+    """Width and height in texels."""
+    if not isinstance(resolution, Sequence):
+        side = _count("resolution", resolution)
+        return side, side
+    if isinstance(resolution, str) or len(resolution) != 2:
+        msg = f"resolution must be a number or (width, height), got {resolution!r}"
+        raise ValueError(msg)
+    return _count("resolution", resolution[0]), _count("resolution", resolution[1])
 
 
 def _count(name: str, value: int) -> int:

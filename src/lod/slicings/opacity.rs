@@ -1,0 +1,163 @@
+//! How opaque the slicings of a blend are drawn: the paper's law, the multiplier that fits a crown,
+//! and the law of random leaves.
+
+use glam::{DAffine3, DVec3, Vec4};
+use rayon::prelude::*;
+
+use super::slabs::LEAST_SIZE;
+use super::{Correction, Slicings};
+use crate::error::LodError;
+use crate::job::Job;
+use crate::lod::view_blend::{circle, sphere};
+use crate::lod::{Crown, ListBuilder};
+use crate::raster::{Outputs, Renderer, Settings};
+use crate::texture::LinearImage;
+use crate::view::{Projection, View};
+
+/// Largest multiplier that a fit tries.
+const MAX_M: f64 = 4.0;
+
+/// Directions over which a fit averages; a multiple of the usual slicing counts.
+const FIT_AZIMUTHS: usize = 36;
+
+/// Halvings of [0, 4]: the multiplier found is within 1e-3 of the root.
+const FIT_STEPS: usize = 12;
+
+/// Pixels a side of a fit's pictures: slices are read through mips, so few are enough.
+const FIT_SIDE: u32 = 96;
+
+/// A correction with its numbers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Opacity {
+    Linear { m: f64 },
+    Optical { tau: f64 },
+}
+
+impl Opacity {
+    /// Opacities of the shares, in the same order.
+    pub(super) fn of(self, shares: &[(usize, f64)]) -> Vec<f64> {
+        let largest = shares.iter().map(|&(_, share)| share).fold(0.0, f64::max);
+        shares
+            .iter()
+            .map(|&(_, share)| match self {
+                Self::Linear { m } => (share * (1.0 + m * (1.0 - largest))).min(1.0),
+                Self::Optical { tau } if tau > 0.0 => libm::expm1(-share * tau) / libm::expm1(-tau),
+                Self::Optical { .. } => share,
+            })
+            .collect()
+    }
+}
+
+/// Mean alpha of slices inside the silhouettes of their slicings.
+#[derive(Debug, Default)]
+pub(super) struct SilhouetteAlpha {
+    /// Texels of the slicing at hand in which a slice seen so far has coverage.
+    covered: Vec<bool>,
+    slice_count: usize,
+    sum: f64,
+    count: f64,
+}
+
+impl SilhouetteAlpha {
+    /// Adds a slice of the slicing at hand.
+    pub(super) fn add(&mut self, image: &LinearImage) {
+        self.covered.resize(image.texels.len(), false);
+        self.slice_count += 1;
+        // in the order of the texels, so the same on any number of threads
+        for (covered, texel) in self.covered.iter_mut().zip(&image.texels) {
+            *covered |= texel.w > 0.0;
+            self.sum += f64::from(texel.w);
+        }
+    }
+
+    /// Goes on to the next slicing.
+    pub(super) fn next_slicing(&mut self) {
+        let covered = self.covered.iter().filter(|&&covered| covered).count();
+        self.count += (covered * self.slice_count) as f64;
+        self.covered.clear();
+        self.slice_count = 0;
+    }
+
+    /// Optical depth of a slice: minus the logarithm of what its mean alpha lets through.
+    pub(super) fn tau(&self) -> f64 {
+        let mean = if self.count > 0.0 { self.sum / self.count } else { 0.0 };
+        // a slice without any hole would have an infinite one
+        -libm::log1p(-mean.min(1.0 - 1e-9))
+    }
+}
+
+impl Slicings {
+    /// Chooses the law; whether a fit found a root, or took the nearer end of its interval.
+    pub(super) fn correct(
+        &mut self,
+        correction: Correction,
+        tau: f64,
+        job: &Job,
+    ) -> Result<Option<bool>, LodError> {
+        match correction {
+            Correction::Linear(m) => self.opacity = Opacity::Linear { m },
+            Correction::Optical => self.opacity = Opacity::Optical { tau },
+            Correction::Fit => return self.fit(tau, job).map(Some),
+        }
+        Ok(None)
+    }
+
+    /// Mean alpha of the slices over directions, each in a parallel view that frames the crown.
+    pub(super) fn mean_alpha(&self, over: &[DVec3], job: &Job) -> Result<f64, LodError> {
+        let alphas: Result<Vec<f64>, LodError> =
+            over.par_iter().map(|&toward| self.mean_alpha_from(toward, job)).collect();
+        Ok(alphas?.iter().sum::<f64>() / over.len() as f64)
+    }
+
+    fn mean_alpha_from(&self, toward: DVec3, job: &Job) -> Result<f64, LodError> {
+        let radius = self.radius.max(LEAST_SIZE);
+        let projection = Projection::Orthographic { height: 2.0 * radius };
+        let up = if toward.y.abs() > 0.99 { DVec3::NEG_Z } else { DVec3::Y };
+        let eye = self.center + toward * (4.0 * radius);
+        let size = (FIT_SIDE, FIT_SIDE);
+        let view = View::new(eye, self.center, up, projection, size, radius * 1e-3)?;
+        let crown =
+            Crown { world_from_local: DAffine3::IDENTITY, distance: 0.0, rank: 0, key: (0, 0) };
+        let mut builder = ListBuilder::default();
+        self.emit_slices(&view, &crown, &mut builder)?;
+        let settings =
+            Settings { sample_count: 1, outputs: Outputs::COLOR, background: Vec4::ZERO };
+        let frame = Renderer::default().render(&builder.finish(), &view, &settings, job)?;
+        let sum: f64 = frame.color.iter().map(|pixel| f64::from(pixel.w)).sum();
+        Ok(sum / frame.color.len() as f64)
+    }
+
+    /// The directions over which a fit averages.
+    pub(super) fn all_around(&self) -> Vec<DVec3> {
+        if self.blend.is_level() { circle(FIT_AZIMUTHS) } else { sphere(FIT_AZIMUTHS) }
+    }
+
+    /// Bisects for the multiplier with which the crown is as opaque from all around as on its
+    /// directions; whether there is one in the interval.
+    fn fit(&mut self, tau: f64, job: &Job) -> Result<bool, LodError> {
+        let around = self.all_around();
+        let wanted = self.mean_alpha(self.blend.directions(), job)?;
+        let mut excess = |m: f64| -> Result<f64, LodError> {
+            self.opacity = Opacity::Linear { m };
+            Ok(self.mean_alpha(&around, job)? - wanted)
+        };
+        let (mut low, mut high) = (0.0, MAX_M);
+        let ends = (excess(low)?, excess(high)?);
+        if ends.0 > 0.0 || ends.1 < 0.0 {
+            let nearer = if ends.0.abs() <= ends.1.abs() { low } else { high };
+            self.opacity = Opacity::Linear { m: nearer };
+            return Ok(false);
+        }
+        let mut m = (2.0 * libm::tanh(tau / 4.0)).clamp(low, high);
+        for _ in 0..FIT_STEPS {
+            if excess(m)? < 0.0 {
+                low = m;
+            } else {
+                high = m;
+            }
+            m = (low + high) * 0.5;
+        }
+        self.opacity = Opacity::Linear { m };
+        Ok(true)
+    }
+}
