@@ -208,8 +208,9 @@ impl<'a> Crowned<'a> {
         struct Drawn {
             triangle: usize,
             cut: bool,
-            /// Of a blended triangle: how near to the viewer.
-            height: Option<f64>,
+            blended: bool,
+            /// How near to the viewer.
+            height: f64,
         }
         let mesh = &self.plant.foliage.mesh;
         let material_of = |t: usize| &self.plant.materials[self.materials[t] as usize];
@@ -219,16 +220,18 @@ impl<'a> Crowned<'a> {
                 self.plant.foliage.triangles_of(leaf).map(move |triangle| (triangle, cut))
             })
             .map(|(triangle, cut)| {
-                let height = (blend_of(material_of(triangle)) == Blend::Over).then(|| {
-                    mesh.corners(triangle).iter().map(|p| p.as_dvec3().dot(view.back)).sum()
-                });
-                Drawn { triangle, cut, height }
+                let blended = blend_of(material_of(triangle)) == Blend::Over;
+                let corners = mesh.corners(triangle);
+                let height = corners.iter().map(|p| p.as_dvec3().dot(view.back)).sum();
+                Drawn { triangle, cut, blended, height }
             })
             .collect();
-        // blended triangles after the others and far to near, the rest as they come
-        drawn.sort_by(|a, b| match (a.height, b.height) {
-            (Some(a), Some(b)) => a.total_cmp(&b),
-            (a, b) => a.is_some().cmp(&b.is_some()),
+        // blended triangles after the others and far to near; the others near to far, so that what
+        // they hide needs no alpha test
+        drawn.sort_by(|a, b| {
+            let by_height = a.height.total_cmp(&b.height);
+            let order = if a.blended { by_height } else { by_height.reverse() };
+            a.blended.cmp(&b.blended).then(order)
         });
         let mut list = DrawList::default();
         let source = list.geometry(&self.geometry);
