@@ -219,8 +219,14 @@ def test_summary_is_the_mean_over_views(result):
     assert summary.loc["full_mesh", "flip_worst"] == max(flips)
     assert summary.loc["same", "psnr_worst"] == math.inf
     assert summary.loc["same", "views"] == 8
+    times = summary["frame_millis"]
+    assert summary["speedup"].tolist() == [1.0, times["full_mesh"] / times["same"]]
     near = result.summary(by=("distance",)).set_index(["label", "distance"])
     assert near.loc[("full_mesh", 2.5), "flip"] == pytest.approx(np.mean(flips[:4]))
+    for distance in (2.5, 10.0):
+        millis = near["frame_millis"].xs(distance, level="distance")
+        assert near.loc[("full_mesh", distance), "speedup"] == 1.0
+        assert near.loc[("same", distance), "speedup"] == millis["full_mesh"] / millis["same"]
 
 
 def test_plant_out_of_view_has_no_error():

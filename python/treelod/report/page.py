@@ -50,8 +50,8 @@ _CAPTIONS = {
     "error_by_distance": (
         "Error by distance",
         "Mean over the views of each distance; the bars reach from the best to the worst view. "
-        "Where a stand-in stops being worse than aliasing (the full mesh's own line), it costs "
-        "nothing to use it.",
+        "Where a technique's line meets the full mesh's, which is aliasing alone, it is as good as "
+        "the mesh that one would draw instead.",
     ),
 }
 
