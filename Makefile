@@ -50,7 +50,7 @@ lint-python: | .venv
 lint-stubs:
 	uv run --locked python -m mypy.stubtest treelod._core
 
-test: ## every test but the slow ones
+test: ## every test that is not marked slow
 	uv run --locked pytest
 
 # Many repeats at few views: what is asked for here is the time, not the error.

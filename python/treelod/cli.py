@@ -170,6 +170,13 @@ def compare(
     repeats: Annotated[
         int, typer.Option("--repeats", min=1, help="Timed frames of each technique and view.")
     ] = 9,
+    ppd: Annotated[
+        float, typer.Option("--ppd", help="Pixels a degree of sight, for FLIP and Yee.")
+    ] = 67.02,
+    yee: Annotated[
+        bool,
+        typer.Option("--yee", help="Also measure Yee's metric, a column of results.csv: slow."),
+    ] = False,
     threads: Threads = None,
     seed: Seed = None,
     leaf_count: LeafCount = None,
@@ -204,6 +211,8 @@ def compare(
             samples=samples,
             reference_samples=reference_samples,
             repeats=repeats,
+            ppd=ppd,
+            yee=yee,
             threads=threads,
             source=source,
             progress=stages,

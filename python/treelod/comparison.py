@@ -22,7 +22,7 @@ from treelod.cameras import Camera, default_cameras, orbit
 from treelod.color import composite, linear_from_srgb, quantize, srgb_from_linear
 from treelod.plants import Plant
 from treelod.provenance import provenance
-from treelod.render import render, time_frames
+from treelod.render import render, sample_count, thread_count, time_frames
 from treelod.results import Bake, Comparison, Picture, Row, View
 from treelod.techniques import REGISTRY, FullMesh, Technique
 
@@ -117,6 +117,11 @@ def compare_techniques(
     if repeats < 1 or warmup < 0:
         msg = f"repeats must be at least 1 and warmup at least 0, got {repeats} and {warmup}"
         raise ValueError(msg)
+    # before anything is baked
+    sample_count(samples)
+    sample_count(reference_samples)
+    thread_count(threads)
+    metrics.check_ppd(ppd)
     built = _build(plant, techniques, report, threads)
     full = built[FullMesh.name]
     keep = _kept_views(views)

@@ -21,6 +21,7 @@ import OpenImageIO as oiio  # noqa: N813
 from skimage.metrics import structural_similarity
 
 from treelod.color import composite, linear_from_srgb, srgb_from_linear
+from treelod.errors import InternalError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -402,9 +403,7 @@ def _measure(
     yee: bool,
     has_alpha: bool = True,
 ) -> Errors:
-    if not 0.0 < ppd < math.inf:
-        msg = f"ppd must be finite and above 0, got {ppd}"
-        raise ValueError(msg)
+    check_ppd(ppd)
     on = {}
     for name, background in BACKGROUNDS.items():
         linear = [np.clip(composite(c, background), 0.0, 1.0) for c in (reference, image)]
@@ -441,6 +440,13 @@ def _errors_on(
     )
 
 
+def check_ppd(ppd: float) -> None:
+    """Refuse pixels a degree that are not finite and above 0."""
+    if not 0.0 < ppd < math.inf:
+        msg = f"ppd must be finite and above 0, got {ppd}"
+        raise ValueError(msg)
+
+
 def _flip(reference: NDArray[Any], image: NDArray[Any], ppd: float) -> NDArray[np.float32]:
     buffers = [_buffer(picture) for picture in (reference, image)]
     for buffer in buffers:
@@ -449,7 +455,7 @@ def _flip(reference: NDArray[Any], image: NDArray[Any], ppd: float) -> NDArray[n
     result = oiio.ImageBufAlgo.FLIP_diff(buffers[0], buffers[1], hdr=0, ppd=ppd)
     if result.has_error:
         msg = f"OpenImageIO could not compute FLIP: {result.geterror()}"
-        raise RuntimeError(msg)
+        raise InternalError(msg)
     pixels = np.asarray(result.get_pixels(oiio.FLOAT), dtype=np.float32)
     return pixels.reshape(reference.shape[:2])
 

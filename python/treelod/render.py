@@ -176,7 +176,7 @@ def render(
     if backend != "cpu":
         msg = f"backend must be 'cpu', got {backend!r}"
         raise ValueError(msg)
-    samples = _sample_count(samples)
+    samples = sample_count(samples)
     if isinstance(outputs, str) or not outputs:
         msg = f"outputs must be a sequence of names from {OUTPUTS}, got {outputs!r}"
         raise ValueError(msg)
@@ -188,7 +188,7 @@ def render(
         samples=samples,
         background=_background(background),
         outputs=list(outputs),
-        threads=threads,
+        threads=thread_count(threads),
     )
     return Frame(
         **{name: planes.get(name) for name in OUTPUTS},
@@ -241,7 +241,7 @@ def time_frames(
     if operator.index(warmup) < 0 or operator.index(repeats) < 1:
         msg = f"warmup must be at least 0 and repeats at least 1, got {warmup} and {repeats}"
         raise ValueError(msg)
-    samples = _sample_count(samples)
+    samples, threads = sample_count(samples), thread_count(threads)
     facts = camera_facts(camera)
     runs = {
         label: (_core.Renderer(), _scene(subject)._core, np.empty(repeats))
@@ -273,12 +273,21 @@ def _scene(subject: Technique | Scene) -> Scene:
     return subject if isinstance(subject, Scene) else Scene([(subject, None)])
 
 
-def _sample_count(samples: int) -> int:
+def sample_count(samples: int) -> int:
+    """Refuse sample counts for which there are no positions."""
     count = operator.index(samples)
-    if not 1 <= count <= 65536:
+    if count not in (1, 4, 8, 16) and not 17 <= count <= 65536:
         msg = f"samples must be 1, 4, 8, 16 or 17..=65536, got {count}"
         raise ValueError(msg)
     return count
+
+
+def thread_count(threads: int | None) -> int | None:
+    """Refuse thread counts that the core cannot even be asked for."""
+    if threads is not None and not 1 <= operator.index(threads) <= 1024:
+        msg = f"threads must be in 1..=1024 or None, got {threads}"
+        raise ValueError(msg)
+    return threads
 
 
 def _background(background: Sequence[float] | None) -> tuple[float, float, float, float]:

@@ -129,7 +129,7 @@ pub struct Measured {
     pub m: Option<f64>,
     /// Whether `correction="fit"` found a root, or took the nearer end of its interval.
     pub fitted: Option<bool>,
-    /// Optical depth of a slicing: minus the logarithm of 1 - the mean slice alpha.
+    /// Optical depth of a slice: minus the logarithm of 1 - the mean slice alpha.
     pub tau: f64,
     /// Leaves cut between slices, or left in the mesh, summed over slicings.
     pub large_leaf_count: usize,

@@ -11,7 +11,8 @@ use glam::DVec3;
 use crate::draw_list::{Blend, Buffers, Geometry, Item, Primitive, Source, Surface};
 use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture};
 use crate::plant::{AlphaMode, Material, Mesh};
-use crate::texture::{Filter, Sampler};
+use crate::texture::mips::{self, Keep};
+use crate::texture::{Filter, Sampler, Texture};
 use crate::view::View;
 use crate::view_state::ViewState;
 
@@ -41,6 +42,34 @@ pub fn blend_of(material: &Material) -> Blend {
     }
 }
 
+/// A texture ready to be read: decoded ahead, and with the levels that its blend and the filter ask
+/// for. Materials that share a texture keep sharing it.
+fn prepare(
+    texture: &Arc<Texture>,
+    blend: Blend,
+    filter: Filter,
+    prepared: &mut Vec<(u64, Blend, Arc<Texture>)>,
+) -> Arc<Texture> {
+    let known = prepared.iter().find(|known| known.0 == texture.id() && known.1 == blend);
+    if let Some((_, _, known)) = known {
+        return Arc::clone(known);
+    }
+    let ready = if filter == Filter::Trilinear {
+        let keep = match blend {
+            Blend::Test(cutoff) => Keep::Coverage { cutoff },
+            Blend::Opaque | Blend::Over => Keep::MeanAlpha,
+        };
+        mips::levels(texture.levels()[0].clone(), keep, &|| Ok(()))
+            .and_then(Texture::new)
+            .expect("levels that halve down to one texel")
+    } else {
+        Arc::clone(texture)
+    };
+    let ready = ready.decoded_ahead();
+    prepared.push((texture.id(), blend, Arc::clone(&ready)));
+    ready
+}
+
 impl Solid {
     /// Takes meshes over, in order, each with the ids of its triangles.
     pub fn new(meshes: &[(&Mesh, Vec<u32>)], materials: &[Material], filter: Filter) -> Self {
@@ -67,10 +96,15 @@ impl Solid {
             }
             buffers.append(Buffers::from_mesh(mesh, ids.clone()), first_vertex);
         }
+        let mut prepared: Vec<(u64, Blend, Arc<Texture>)> = Vec::new();
         let materials = materials
             .iter()
             .map(|material| Material {
                 sampler: Sampler { filter, ..material.sampler },
+                texture: material
+                    .texture
+                    .as_ref()
+                    .map(|texture| prepare(texture, blend_of(material), filter, &mut prepared)),
                 ..material.clone()
             })
             .collect();

@@ -18,7 +18,7 @@ use crate::error::{LodError, check_finite};
 /// Directions this far from horizontal still count as lying on the circle.
 const LEVEL_TOLERANCE: f64 = 1e-9;
 
-/// How far outside a triangle, in barycentric units, a ray may pass and still hit it: rounding.
+/// A ray at least this far inside a triangle, in barycentric units, hits no other one.
 const HIT_TOLERANCE: f64 = 1e-9;
 
 /// Shares below this are rounding, not a second direction.

@@ -61,13 +61,6 @@ impl Lighting {
         check_in("translucency", self.translucency, 0.0..=1.0)
     }
 
-    /// Share of the sun in the light of a leaf that faces it, averaged over the channels, in [0, 1].
-    pub fn sun_share(&self) -> f64 {
-        let facing = self.facing_sun();
-        let total = facing.element_sum();
-        if total > 0.0 { self.sun.element_sum() / total } else { 0.0 }
-    }
-
     /// Front and back light of a surface with normal `n` and translucency `t`, scaled.
     pub fn front_back(&self, normal: Vec3, translucency: f64) -> (DVec3, DVec3) {
         let normal = normal.as_dvec3();
@@ -156,8 +149,6 @@ mod tests {
         assert_eq!(bright.front_back(-Vec3::Y, 0.0).0, DOWN * 0.25, "the rest shrinks with it");
         let dim = Lighting { sun: DVec3::ZERO, ..noon(0.0) };
         assert_eq!(dim.front_back(Vec3::Y, 0.0).0, DVec3::splat(0.5), "not brightened");
-        assert_eq!(dim.sun_share(), 0.0, "no sun");
-        assert_eq!(noon(0.0).sun_share(), 0.75 / 2.25, "sun over sun and sky");
         let default = Lighting::default();
         let facing = default.front_back(default.sun_direction.normalize().as_vec3(), 0.0).0;
         assert!((facing.max_element() - 1.0).abs() < 1e-6, "the default's brightest is 1");

@@ -95,6 +95,10 @@ impl Mesh {
         check_finite("normals", &self.normals)?;
         check_finite("uvs", &self.uvs)?;
         check_finite("colors", &self.base)?;
+        if let Some(row) = self.base.iter().position(|color| color.min_element() < 0.0) {
+            let why = format!("row {row} is negative: {:?}", self.base[row].to_array());
+            return Err(LodError::Invalid { name: "colors", why });
+        }
         let beyond = |corners: &[u32; 3]| corners.iter().any(|&v| v as usize >= vertex_count);
         if let Some(triangle) = self.triangles.iter().position(beyond) {
             let corners = self.triangles[triangle];

@@ -15,7 +15,7 @@ pub enum AlphaMode {
     Opaque,
     /// Drawn where alpha is at least the cutoff.
     Mask {
-        /// In (0, 1].
+        /// At least 0.
         cutoff: f32,
     },
     /// Blended over what lies behind.

@@ -1,6 +1,6 @@
 //! Scenes and renderers for Python.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 use std::time::Instant;
 
 use glam::{DAffine3, DMat3, DVec3, Vec3, Vec4};
@@ -90,7 +90,7 @@ fn affine_rows(transforms: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<DAffine3>
         .collect()
 }
 
-/// The CPU renderer with its memory; calls take turns.
+/// The CPU renderer with its memory, for one thread at a time.
 #[pyclass(frozen, module = "treelod._core")]
 pub(super) struct Renderer {
     inner: Mutex<(raster::Renderer, ViewState)>,
@@ -124,7 +124,7 @@ impl Renderer {
         };
         let scene = Arc::clone(&scene.inner);
         let frame = run(py, threads, None, |job| {
-            let mut guard = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut guard = self.taken()?;
             let (renderer, state) = &mut *guard;
             let (list, emit_millis) = emit(&scene, &view, settings.outputs, state)?;
             let mut frame = renderer.render(&list, &view, &settings, job)?;
@@ -150,13 +150,28 @@ impl Renderer {
             Settings { sample_count: samples, outputs: Outputs::COLOR, background: Vec4::ZERO };
         let scene = Arc::clone(&scene.inner);
         let stats = run(py, threads, None, |job: &Job| {
-            let mut guard = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut guard = self.taken()?;
             let (renderer, state) = &mut *guard;
             let (list, emit_millis) = emit(&scene, &view, settings.outputs, state)?;
             let stats = renderer.draw(&list, &view, &settings, job)?;
             Ok(Stats { emit_millis, ..stats })
         })?;
         stats_facts(py, &stats)
+    }
+}
+
+impl Renderer {
+    /// The renderer, unless it is drawing for another thread: waiting for it inside the pool could
+    /// keep that other picture from ever being finished.
+    fn taken(&self) -> Result<MutexGuard<'_, (raster::Renderer, ViewState)>, LodError> {
+        match self.inner.try_lock() {
+            Ok(guard) => Ok(guard),
+            Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => {
+                let why = "is drawing for another thread; make one for each".to_owned();
+                Err(LodError::Invalid { name: "renderer", why })
+            }
+        }
     }
 }
 

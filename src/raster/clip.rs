@@ -36,18 +36,34 @@ impl ClipSpace {
         point
     }
 
-    /// Both ends of a line as (x, y, key), cut at the near plane; `None` if it lies behind.
-    pub(crate) fn line(&self, ends: [DVec3; 2]) -> Option<[[f32; 3]; 2]> {
-        let [a, b] = ends.map(|p| self.transform(p));
-        if !self.perspective || (a.z >= self.near && b.z >= self.near) {
-            return Some([self.project(a), self.project(b)]);
+    /// The planes that keep shapes in front and within `guard` pixels, as (normal, offset): inside
+    /// where normal.p + offset >= 0.
+    fn planes(&self, guard: f64) -> impl Iterator<Item = DVec4> + use<> {
+        let near = self.perspective.then_some(DVec4::new(0.0, 0.0, 1.0, -self.near));
+        // half the guard, so that rounding and the picture's centre stay within it
+        let limit = guard * 0.5;
+        let side = if self.perspective { (limit, 0.0) } else { (0.0, limit) };
+        let sides = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)];
+        near.into_iter().chain(sides.map(|(x, y)| DVec4::new(x, y, side.0, side.1)))
+    }
+
+    /// Both ends of a line as (x, y, key), cut to what is in front and within `guard` pixels; `None`
+    /// if nothing is.
+    pub(crate) fn line(&self, ends: [DVec3; 2], guard: f64) -> Option<[[f32; 3]; 2]> {
+        let [mut a, mut b] = ends.map(|p| self.transform(p));
+        for plane in self.planes(guard) {
+            let distance = |p: DVec3| plane.truncate().dot(p) + plane.w;
+            let (at_a, at_b) = (distance(a), distance(b));
+            if at_a < 0.0 && at_b < 0.0 {
+                return None;
+            }
+            let cut = a + (b - a) * (at_a / (at_a - at_b));
+            if at_a < 0.0 {
+                a = cut;
+            } else if at_b < 0.0 {
+                b = cut;
+            }
         }
-        if a.z < self.near && b.z < self.near {
-            return None;
-        }
-        let cut = a + (b - a) * ((self.near - a.z) / (b.z - a.z));
-        let cut = DVec3::new(cut.x, cut.y, self.near);
-        let (a, b) = if a.z < self.near { (cut, b) } else { (a, cut) };
         Some([self.project(a), self.project(b)])
     }
 
@@ -82,21 +98,7 @@ impl ClipSpace {
 /// Corners (x, y, key) of the part of a triangle that is in front and within `guard` pixels.
 pub(crate) fn clip_polygon(space: &ClipSpace, local: [DVec3; 3], guard: f64) -> Vec<[f32; 3]> {
     let mut polygon: Vec<DVec3> = local.iter().map(|&p| space.transform(p)).collect();
-    // planes as (normal, offset): inside where normal.p + offset >= 0
-    let mut planes = Vec::new();
-    if space.perspective {
-        planes.push(DVec4::new(0.0, 0.0, 1.0, -space.near));
-    }
-    // half the guard, so that rounding and the picture's centre stay within it
-    let limit = guard * 0.5;
-    for (x, y) in [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)] {
-        planes.push(if space.perspective {
-            DVec4::new(x, y, limit, 0.0)
-        } else {
-            DVec4::new(x, y, 0.0, limit)
-        });
-    }
-    for plane in planes {
+    for plane in space.planes(guard) {
         let distance = |p: DVec3| plane.truncate().dot(p) + plane.w;
         let mut kept = Vec::with_capacity(polygon.len() + 1);
         for (i, &p) in polygon.iter().enumerate() {
@@ -161,8 +163,11 @@ mod tests {
     #[test]
     fn lines_are_cut_at_the_near_plane() {
         let ends = [DVec3::new(0.0, 0.0, 2.0), DVec3::new(2.0, 0.0, 0.0)];
-        let cut = space().line(ends).expect("half of it is in front");
+        let cut = space().line(ends, 1e6).expect("half of it is in front");
         assert_eq!(cut, [[0.0, 0.0, 0.5], [1.0, 0.0, 1.0]], "cut half way");
-        assert!(space().line(ends.map(|p| p - DVec3::Z * 2.0)).is_none(), "behind");
+        let long = [DVec3::new(0.0, 0.0, 1.0), DVec3::new(1e9, 0.0, 1.0)];
+        let cut = space().line(long, 100.0).expect("it begins in the picture");
+        assert_eq!(cut, [[0.0, 0.0, 1.0], [50.0, 0.0, 1.0]], "cut at half the guard");
+        assert!(space().line(ends.map(|p| p - DVec3::Z * 2.0), 1e6).is_none(), "behind");
     }
 }

@@ -199,6 +199,7 @@ pub(crate) struct Placing {
     linear: Mat3,
     translation: Vec3,
     back: Vec3,
+    normals: Mat3,
 }
 
 impl Placing {
@@ -227,6 +228,7 @@ impl Placing {
             linear,
             translation,
             back: view.back.as_vec3(),
+            normals: normal_matrix(linear),
         }
     }
 
@@ -250,13 +252,21 @@ impl Placing {
     fn side_seen(&self, position: Vec3, normal: Vec3) -> u8 {
         let to_eye =
             if self.perspective { -(self.linear * position + self.translation) } else { self.back };
-        if (self.linear * normal).dot(to_eye) < 0.0 { 0 } else { flags::FRONT }
+        if (self.normals * normal).dot(to_eye) < 0.0 { 0 } else { flags::FRONT }
     }
 
     /// [`flags::FRONT`] for corners that run counter-clockwise as stored.
     fn stored_winding(&self) -> u8 {
         if self.mirrored { 0 } else { flags::FRONT }
     }
+}
+
+/// How normals turn under a linear map: the cofactors, so that they stay upright on a surface that
+/// is stretched or mirrored. Their lengths change.
+pub(crate) fn normal_matrix(linear: Mat3) -> Mat3 {
+    let Mat3 { x_axis: x, y_axis: y, z_axis: z } = linear;
+    let sign = if linear.determinant() < 0.0 { -1.0 } else { 1.0 };
+    Mat3::from_cols(y.cross(z) * sign, z.cross(x) * sign, x.cross(y) * sign)
 }
 
 /// Nearest sub-pixel step; half a step rounds up.
@@ -402,7 +412,9 @@ impl Unit {
             let ends = [indices[at], indices[at + 1]];
             let local = ends.map(|v| buffers.positions[v as usize]);
             self.vertex_count += 2;
-            let Some([a, b]) = placing.exact.line(local.map(|p| p.as_dvec3())) else { continue };
+            let ends_local = local.map(|p| p.as_dvec3());
+            let cut = placing.exact.line(ends_local, f64::from(GUARD_PX));
+            let Some([a, b]) = cut else { continue };
             let along = [b[0] - a[0], b[1] - a[1]];
             let length = libm::hypotf(along[0], along[1]);
             if length == 0.0 {

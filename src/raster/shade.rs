@@ -9,7 +9,7 @@ use std::ops::{Add, Mul, Sub};
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles};
 
 use crate::draw_list::{Blend, Buffers, DrawList, Instance, Item, Surface};
-use crate::raster::setup::{Placing, ScreenVertex, Shape, Unit, flags};
+use crate::raster::setup::{Placing, ScreenVertex, Shape, Unit, flags, normal_matrix};
 use crate::texture::{Filter, Sampler, Texture};
 use crate::view::View;
 
@@ -134,7 +134,7 @@ impl<'a> Material<'a> {
         }
         if want_normal {
             let local = self.mix(&self.buffers.normals, sources, weights);
-            let normal = (self.instance.linear * local).normalize_or_zero();
+            let normal = (normal_matrix(self.instance.linear) * local).normalize_or_zero();
             let normal = if front { normal } else { -normal };
             shaded[2] = (normal * alpha).extend(alpha);
         }

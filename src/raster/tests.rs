@@ -444,3 +444,17 @@ fn a_cancelled_picture_is_an_error() {
     let result = Renderer::default().render(&soup(1, &view), &view, &settings, &job);
     assert_eq!(result.expect_err("cancelled"), crate::LodError::Cancelled, "at the first check");
 }
+
+#[test]
+fn normals_stay_upright_on_stretched_instances() {
+    // a plane at 45 degrees, stretched twice along x: its normal leans towards y
+    let view = pixel_view(4, 4);
+    let mut data = buffers(&[[0.0, 0.0, 0.0], [0.0, 8.0, 0.0], [8.0, 0.0, 0.0]], &[0, 1, 2]);
+    data.normals.fill(Vec3::new(1.0, 1.0, 0.0).normalize());
+    let mut list = DrawList::default();
+    add(&mut list, &view, Primitive::Triangles, data, Blend::Opaque);
+    list.instances[0] = Instance::new(&DAffine3::from_scale(DVec3::new(2.0, 1.0, 1.0)), &view);
+    let normal = draw(&list, &view, 1).normal[0];
+    let expected = Vec3::new(0.5, 1.0, 0.0).normalize();
+    assert!((normal - expected).length() < 1e-6, "{normal} for {expected}");
+}

@@ -17,6 +17,9 @@ pub const MAX_TEXTURE_SIDE: u32 = 16384;
 /// Largest number of texels of one level: 256 MiB of RGBA8.
 pub const MAX_TEXEL_COUNT: u64 = 1 << 26;
 
+/// Larger textures are decoded as they are read: 2048 x 2048 decoded are 64 MiB.
+pub const MAX_DECODED_TEXEL_COUNT: usize = 1 << 22;
+
 /// What a texture coordinate outside [0, 1] reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Wrap {
@@ -136,10 +139,14 @@ impl Texture {
         Ok(Arc::new(Self { id, levels, decoded: Vec::new(), byte_count }))
     }
 
-    /// The same texture with its texels decoded ahead: four times the memory, for cards that are
-    /// read at every pixel they cover.
+    /// The same texture with its texels decoded ahead, unless it is larger than
+    /// [`MAX_DECODED_TEXEL_COUNT`]: the same numbers, sooner, for four times the memory.
     #[must_use]
     pub fn decoded_ahead(self: Arc<Self>) -> Arc<Self> {
+        let too_large = self.levels[0].texels.len() > MAX_DECODED_TEXEL_COUNT;
+        if too_large || !self.decoded.is_empty() {
+            return self;
+        }
         let decode_level = |level: &Image| level.texels.iter().map(|&t| decode(t)).collect();
         let decoded = self.levels.iter().map(decode_level).collect();
         Arc::new(Self { decoded, ..Arc::unwrap_or_clone(self) })

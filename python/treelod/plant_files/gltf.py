@@ -455,7 +455,7 @@ class _File:
                 data = bytes(self.view_bytes(image["bufferView"], what))
             else:
                 data = self.source.read_uri(image.get("uri"), what)
-            self.pictures[number] = images.decode(data, what)
+            self.pictures[number] = images.decode(data, what, self.source.charge_texels)
         return self.pictures[number]
 
     # --- geometry -----------------------------------------------------------------------------

@@ -7,6 +7,7 @@ would fill the memory before anything could object.
 
 import io
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ MAX_TEXEL_COUNT = 1 << 26
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
 
 
-def decode(data: bytes, what: str) -> NDArray[np.uint8]:
+def decode(data: bytes, what: str, charge: Callable[[int], None]) -> NDArray[np.uint8]:
     """
     Decode a picture.
 
@@ -35,6 +36,8 @@ def decode(data: bytes, what: str) -> NDArray[np.uint8]:
         A PNG, JPEG, WebP, BMP, TGA or TIFF file.
     what : str
         What to call it in messages.
+    charge : callable
+        Called with the number of texels before they are decoded; raises if that is too many.
 
     Returns
     -------
@@ -60,6 +63,7 @@ def decode(data: bytes, what: str) -> NDArray[np.uint8]:
                     f"and {MAX_TEXEL_COUNT} texels"
                 )
                 raise PlantFileError(msg)
+            charge(width * height)
             if picture.mode.startswith(("I", "F")):
                 return _from_deep_grey(picture)
             # "RGBA" alone knows about transparency outside the pixels (a palette's, a colour key)

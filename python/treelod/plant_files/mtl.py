@@ -82,11 +82,15 @@ class Entry:
         texture = None
         what = f"material {self.name!r}"
         if self.picture is not None:
-            texture = images.decode(source.read_name(self.picture, what), f"the map_Kd of {what}")
+            texture = images.decode(
+                source.read_name(self.picture, what),
+                f"the map_Kd of {what}",
+                source.charge_texels,
+            )
         if self.opacity_picture is None:
             return texture
         data = source.read_name(self.opacity_picture, what)
-        opacity = images.decode(data, f"the map_d of {what}")
+        opacity = images.decode(data, f"the map_d of {what}", source.charge_texels)
         # a grey picture states opacity as its brightness, one with alpha as its alpha
         alpha = opacity[..., 3] if int(opacity[..., 3].min()) < 255 else opacity[..., 0]
         if texture is None:

@@ -17,6 +17,10 @@ from treelod.plant_files.model import MAX_FILE_BYTES
 __all__ = ["Source"]
 
 
+MAX_TOTAL_TEXEL_COUNT = 1 << 28
+"""Texels that all pictures of one file may hold together: 1 GiB as RGBA."""
+
+
 class Source:
     """
     A plant file and its folder.
@@ -44,6 +48,23 @@ class Source:
             msg = f"{path}: {size} bytes, the limit is {MAX_FILE_BYTES}"
             raise PlantFileError(msg)
         self._root = path.parent.resolve()
+        self._texel_count = 0
+
+    def charge_texels(self, count: int) -> None:
+        """
+        Count texels against what all pictures of a file may hold together.
+
+        Raises
+        ------
+        PlantFileError
+            If there are more than 2**28: 1 GiB as RGBA.
+        """
+        self._texel_count += count
+        if self._texel_count > MAX_TOTAL_TEXEL_COUNT:
+            msg = (
+                f"{self.path}: its pictures hold more than {MAX_TOTAL_TEXEL_COUNT} texels together"
+            )
+            raise PlantFileError(msg)
 
     def read(self) -> bytes:
         """Bytes of the plant file."""

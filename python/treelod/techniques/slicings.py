@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from treelod import _core
-from treelod.render import camera_facts
+from treelod.render import camera_facts, thread_count
 from treelod.techniques.technique import Technique, wood_facts
 
 if TYPE_CHECKING:
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from treelod.plants import Plant
 
 __all__ = ["Slicings"]
+
+LEVEL_TOLERANCE = 1e-9
+"""Height of a unit direction up to which it counts as horizontal; the core has the same."""
 
 
 class Slicings(Technique):
@@ -166,7 +169,7 @@ class Slicings(Technique):
             large_leaves=large_leaves,
             format=format,
             views=facts,
-            threads=threads,
+            threads=thread_count(threads),
             progress=progress,
             **wood_params,
         )
@@ -178,7 +181,7 @@ class Slicings(Technique):
             "samples": samples,
             "correction": correction,
             "large_leaves": large_leaves,
-            "orientations": orientations if isinstance(orientations, str) else "given",
+            "orientations": orientations if isinstance(orientations, str) else directions.tolist(),
             "format": format,
             "views": None if views is None else len(views),
             **wood_params,
@@ -228,13 +231,16 @@ def _directions(
             raise ValueError(msg)
     lengths = np.linalg.norm(directions, axis=1)
     usable = np.isfinite(lengths).all() and (lengths > 0).all()
-    if len(directions) < 4 or not usable or np.allclose(directions[:, 1], 0.0):
+    if len(directions) < 4 or not usable:
+        return directions, None
+    units = directions / lengths[:, np.newaxis]
+    if (np.abs(units[:, 1]) <= LEVEL_TOLERANCE).all():
         return directions, None
     # a large library, for the sphere alone
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        hull = ConvexHull(directions / lengths[:, np.newaxis])
+        hull = ConvexHull(units)
     except QhullError:
         # all in one plane: the core says what is wrong with them
         return directions, None
