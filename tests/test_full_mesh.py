@@ -106,3 +106,30 @@ def test_blended_triangles_are_drawn_far_to_near():
         frame = tl.render(tl.FullMesh.build(plant), camera, outputs=("albedo",))
         expected = np.tile([*weights, 0.875], (4, 4, 1))
         np.testing.assert_allclose(frame.albedo, expected, atol=1e-6)
+
+
+def test_trilinear_reads_mips_where_texels_are_small():
+    # a black and white checkerboard of single texels, seen with 16 texels a pixel
+    texture = np.zeros((64, 64, 4), np.uint8)
+    texture[..., 3] = 255
+    texture[np.indices((64, 64)).sum(axis=0) % 2 == 0, :3] = 255
+    mesh, offsets = quads([facing(0, 0, 0, 1)])
+    mesh["uvs"] = [[0, 1], [1, 1], [1, 0], [0, 0]]
+    mesh["normals"] = [[0, 0, 1]] * 4
+    plant = tl.Plant.from_arrays(
+        foliage={**mesh, "material_ids": np.zeros(2, np.uint32)},
+        leaf_offsets=offsets,
+        materials=[tl.Material(name="checker", texture=texture)],
+    )
+    camera = tl.Camera.orthographic((0.01, 0.01, 5), (0.01, 0.01, 0), height=2.0, size=(4, 4))
+    spread = {}
+    for filter_ in ("nearest", "bilinear", "trilinear"):
+        mesh = tl.FullMesh.build(plant, filter=filter_)
+        inside = tl.render(mesh, camera, samples=1).color[1:3, 1:3, 1]
+        spread[filter_] = float(np.ptp(inside))
+    # level 4 is the mean of 16 x 16 texels, the same everywhere
+    assert spread["trilinear"] < 0.01
+    assert tl.FullMesh.build(plant, filter="trilinear").footprint.texture_bytes == 4 * 5461
+    white = tl.render(tl.FullMesh.build(plant, filter="nearest"), camera, samples=1).color
+    gray = tl.render(tl.FullMesh.build(plant, filter="trilinear"), camera, samples=1).color
+    assert abs(gray[1, 1, 1] - white[1, 1, 1]) > 0.1

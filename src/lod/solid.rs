@@ -254,7 +254,7 @@ mod tests {
 
     use super::*;
     use crate::draw_list::DrawList;
-    use crate::texture::{Image, Texture};
+    use crate::texture::Image;
     use crate::view::Projection;
 
     fn material(alpha_mode: AlphaMode, texture: Option<&Arc<Texture>>) -> Material {

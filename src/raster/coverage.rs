@@ -130,11 +130,14 @@ fn wide_triangle<const S: usize>(
                     | at[2].wrapping_add(lowest[2]);
                 let mut mask = full;
                 if all < 0 {
+                    let [first, second, third] = &offsets;
                     mask = 0;
-                    for s in 0..S {
-                        let outside = at[0].wrapping_add(offsets[0][s])
-                            | at[1].wrapping_add(offsets[1][s])
-                            | at[2].wrapping_add(offsets[2][s]);
+                    for (s, ((&first, &second), &third)) in
+                        first.iter().zip(second).zip(third).enumerate()
+                    {
+                        let outside = at[0].wrapping_add(first)
+                            | at[1].wrapping_add(second)
+                            | at[2].wrapping_add(third);
                         mask |= u32::from(outside >= 0) << s;
                     }
                 }

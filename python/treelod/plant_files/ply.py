@@ -43,7 +43,8 @@ def read(source: Source) -> Model:
         raise PlantFileError(msg)
     texture = None
     if picture is not None:
-        texture = images.decode(source.read_name(picture, "TextureFile"), "its TextureFile")
+        data_of_picture = source.read_name(picture, "TextureFile")
+        texture = images.decode(data_of_picture, "its TextureFile", source.charge_texels)
     scene = trimesh.load_scene(
         io.BytesIO(data), file_type="ply", process=False, skip_materials=True
     )
