@@ -277,7 +277,7 @@ def sample_count(samples: int) -> int:
     """Refuse sample counts for which there are no positions."""
     count = operator.index(samples)
     if count not in (1, 4, 8, 16) and not 17 <= count <= 65536:
-        msg = f"samples must be 1, 4, 8, 16 or 17..=65536, got {count}"
+        msg = f"samples must be in 1, 4, 8, 16 or 17..=65536, got {count}"
         raise ValueError(msg)
     return count
 
