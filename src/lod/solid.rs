@@ -365,6 +365,18 @@ mod tests {
             assert_eq!(fresh.own, again.own, "step {step}");
             assert_eq!(fresh.instances, again.instances, "step {step}");
         }
+        // from +x all lie equally far, whatever was nearer from +z
+        let parallel = Projection::Orthographic { height: 4.0 };
+        let [_, aside] = [DVec3::Z, DVec3::X].map(|eye| {
+            let view = view(eye * 9.0, parallel);
+            (
+                emit(&solid, &view, &placed, &mut ViewState::default()),
+                emit(&solid, &view, &placed, &mut used),
+            )
+        });
+        assert_eq!(aside.0.own, aside.1.own, "ties by index");
+        let ids: Vec<u32> = blended_ids(&aside.0).into_iter().map(|(id, _)| id).collect();
+        assert_eq!(ids, [12, 13, 14, 15, 12, 13, 14, 15], "in the order of the plant");
         // a memory of another plant's
         used.slot::<Vec<u32>>((0, 0)).truncate(2);
         *used.slot::<String>((0, 1)) = "of another kind".to_owned();

@@ -530,6 +530,12 @@ fn views_bake_what_they_show_and_no_more() {
     }
     let everywhere = Params { resolution: (64, 64), ..params(6, 3, 64) };
     assert_eq!(cards(&lod, &emit(&lod, &view, &[crown_at(DAffine3::IDENTITY, 0)])).len(), 6, "all");
+    // the nearest of several decides
+    let far = perspective(from_azimuth(20.0) * 20.0, DVec3::ZERO, DVec3::Y);
+    for views in [[view.clone(), far.clone()], [far, view.clone()]] {
+        let both = Params { views: Some(views.to_vec()), ..params(6, 3, 64) };
+        assert_eq!(build(&crown, &both).0.footprint(), lod.footprint(), "as for the nearer one");
+    }
     let other = perspective(from_azimuth(200.0) * 9.0, DVec3::ZERO, DVec3::Y);
     let mut builder = ListBuilder::default();
     let crowns = [crown_at(DAffine3::IDENTITY, 0)];
@@ -548,6 +554,47 @@ fn views_bake_what_they_show_and_no_more() {
         let error = Slicings::build(&crown, &with, &Job::default()).expect_err("refused");
         assert!(error.to_string().starts_with(name), "{error}");
     }
+}
+
+#[test]
+fn an_eye_at_the_centre_counts_as_looking_from_behind_itself() {
+    let (lod, _) = build(&plant(&random_crown(100)), &params(6, 2, 8));
+    let primary = |eye: DVec3| {
+        let view = perspective(eye, eye - from_azimuth(70.0), DVec3::Y);
+        let list = emit(&lod, &view, &[crown_at(DAffine3::IDENTITY, 0)]);
+        cards(&lod, &list).last().map(|card| card.0)
+    };
+    let aside = from_azimuth(180.0) * lod.radius;
+    assert_eq!(primary(aside * 0.9e-3), Some(1), "70 degrees: the viewing direction");
+    assert_eq!(primary(aside * 1.1e-3), Some(3), "180 degrees: where it stands");
+}
+
+#[test]
+fn far_away_cards_are_read_through_their_levels() {
+    // stripes of one texel on, one off; 64 texels on 5 pixels, whose samples lie anywhere between
+    let mut stripes: Vec<Leaf> = (0..32_u8)
+        .map(|i| (Vec3::X * (f32::from(i) * 2.0 - 31.0), Vec3::X * 0.5, Vec3::Y * 32.0))
+        .collect();
+    stripes.extend([-31.5, 31.5].map(|x| (Vec3::X * x, Vec3::X * 0.5, Vec3::ZERO)));
+    let (lod, _) = build(&plant(&stripes), &params(1, 1, 64));
+    let (_, _, baked) = lod.baked_slices().next().expect("one slice");
+    assert_eq!((baked.rect.width, baked.rect.height), (64.0, 64.0), "a metre a texel");
+    let view = parallel(DVec3::Z, DVec3::Y, 64.0, 5);
+    for pixel in draw(&lod, &view).color {
+        assert!((pixel.w - 0.5).abs() < 0.01, "half covered: {}", pixel.w);
+    }
+}
+
+#[test]
+fn a_leaf_at_one_edge_does_not_show_at_the_other() {
+    // the left column of texels, and nothing but a point on the right
+    let left = (Vec3::X * -3.5, Vec3::X * 0.5, Vec3::Y * 4.0);
+    let right = (Vec3::X * 3.5, Vec3::X * 0.5, Vec3::ZERO);
+    let (lod, _) = build(&plant(&[left, right]), &params(1, 1, 8));
+    let frame = draw(&lod, &parallel(DVec3::Z, DVec3::Y, 8.0, 64));
+    let row = &frame.color[32 * 64..33 * 64];
+    assert!(row[0].w > 0.99, "opaque up to the edge: {}", row[0].w);
+    assert!(row[16..].iter().all(|pixel| pixel.w == 0.0), "and nothing on the other side");
 }
 
 /// Awkward crowns, by name.
