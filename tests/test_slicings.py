@@ -336,7 +336,7 @@ def test_given_orientations(plant):
     assert tl.render(above, down).color[..., 3].max() > 0.5
     uneven = tl.Slicings.build(plant, orientations=[(1, 0, 0), (0, 0, 2)], **kwargs)
     assert uneven.params["slicing_count"] == 2
-    assert uneven.params["orientations"] == "given"
+    assert uneven.params["orientations"] == [[1.0, 0.0, 0.0], [0.0, 0.0, 2.0]]
     cube = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     assert tl.Slicings.build(plant, orientations=cube, **kwargs).footprint.cards == 16
 
