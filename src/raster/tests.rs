@@ -458,3 +458,20 @@ fn normals_stay_upright_on_stretched_instances() {
     let expected = Vec3::new(0.5, 1.0, 0.0).normalize();
     assert!((normal - expected).length() < 1e-6, "{normal} for {expected}");
 }
+
+#[test]
+fn colours_follow_perspective() {
+    // ground at y = -1 from depth 1 (black) to 3 (white): row 74.5 of 100 shows depth 50 / 24.5
+    let projection = Projection::Perspective { fov_y: std::f64::consts::FRAC_PI_2 };
+    let view = View::new(DVec3::ZERO, DVec3::NEG_Z, DVec3::Y, projection, (100, 100), 0.01);
+    let view = view.expect("valid");
+    let ground = [[-1.0, 1.0, -1.0], [1.0, 1.0, -1.0], [3.0, 1.0, -3.0], [-3.0, 1.0, -3.0]];
+    let mut data = buffers(&ground, &[0, 1, 2, 3]);
+    data.front = vec![Vec3::ZERO, Vec3::ZERO, Vec3::ONE, Vec3::ONE];
+    data.back.clone_from(&data.front);
+    let mut list = DrawList::default();
+    add(&mut list, &view, Primitive::Cards, data, Blend::Opaque);
+    let seen = draw(&list, &view, 1).color[74 * 100 + 50].x;
+    let expected = (50.0 / 24.5 - 1.0) / 2.0;
+    assert!((seen - expected).abs() < 1e-4, "{seen} for {expected}, and 0.765 without perspective");
+}
