@@ -16,6 +16,8 @@ pub mod samples;
 mod setup;
 mod shade;
 #[cfg(test)]
+mod soups;
+#[cfg(test)]
 mod tests;
 mod tile;
 
