@@ -21,6 +21,7 @@ pub mod png;
 pub mod random;
 pub mod raster;
 pub mod scene;
+pub mod simd;
 pub mod texture;
 pub mod view;
 pub mod view_state;

@@ -146,7 +146,7 @@ class Scene:
 
 @final
 class Renderer:
-    def __new__(cls) -> Renderer: ...
+    def __new__(cls, *, simd: str | None = None) -> Renderer: ...
     def render(
         self,
         scene: Scene,
@@ -161,6 +161,7 @@ class Renderer:
         self, scene: Scene, camera: _CameraFacts, *, samples: int, threads: int | None
     ) -> dict[str, float]: ...
 
+def time_naive(scene: Scene, camera: _CameraFacts, *, samples: int) -> float: ...
 def full_mesh(
     plant: Plant, *, wood: bool, wood_triangle_count: int | None, filter: str
 ) -> Representation: ...

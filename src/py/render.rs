@@ -16,6 +16,7 @@ use crate::error::LodError;
 use crate::job::Job;
 use crate::raster::{self, Frame, Outputs, Settings, Stats};
 use crate::scene;
+use crate::simd::Level;
 use crate::view::View;
 use crate::view_state::ViewState;
 
@@ -98,9 +99,15 @@ pub(super) struct Renderer {
 
 #[pymethods]
 impl Renderer {
+    /// Vector instructions by name; `None`: what `TREELOD_SIMD` asks for, else the best.
     #[new]
-    fn new() -> Self {
-        Self { inner: Mutex::default() }
+    #[pyo3(signature = (*, simd = None))]
+    fn new(simd: Option<&str>) -> Result<Self, LodError> {
+        let renderer = match simd {
+            Some(name) => raster::Renderer::with_simd(Level::named("simd", name)?),
+            None => raster::Renderer::default(),
+        };
+        Ok(Self { inner: Mutex::new((renderer, ViewState::default())) })
     }
 
     /// Planes by name, and what drawing took.
@@ -173,6 +180,25 @@ impl Renderer {
             }
         }
     }
+}
+
+/// Seconds in which the renderer's slow twin draws a scene.
+#[pyfunction]
+#[pyo3(signature = (scene, camera, *, samples))]
+pub(super) fn time_naive(
+    py: Python<'_>,
+    scene: &Scene,
+    camera: CameraFacts,
+    samples: u32,
+) -> PyResult<f64> {
+    let view = camera.view()?;
+    let scene = Arc::clone(&scene.inner);
+    run(py, Some(1), None, |job| {
+        let (list, _) = emit(&scene, &view, Outputs::COLOR_DEPTH, &mut ViewState::default())?;
+        let start = Instant::now();
+        raster::draw_naive(&list, &view, samples, job)?;
+        Ok(start.elapsed().as_secs_f64())
+    })
 }
 
 /// The one list that draws a scene, and the milliseconds it took to make.

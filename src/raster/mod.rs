@@ -38,6 +38,7 @@ use crate::raster::frame::Planes;
 use crate::raster::samples::SamplePosition;
 use crate::raster::setup::{Grid, Segment, Unit};
 use crate::raster::tile::{Scene, TileBuffer, TileTarget};
+use crate::simd::Level;
 use crate::view::View;
 
 /// Units set up at once: about a million primitives, a few hundred megabytes.
@@ -72,6 +73,7 @@ pub struct Renderer {
     tiles: Vec<Mutex<TileBuffer>>,
     planes: Planes,
     max_batch_units: usize,
+    simd: Option<Level>,
 }
 
 impl Default for Renderer {
@@ -81,11 +83,17 @@ impl Default for Renderer {
             tiles: Vec::new(),
             planes: Planes::default(),
             max_batch_units: MAX_BATCH_UNITS,
+            simd: None,
         }
     }
 }
 
 impl Renderer {
+    /// A renderer that uses the given vector instructions; others use [`Level::chosen`].
+    pub fn with_simd(level: Level) -> Self {
+        Self { simd: Some(level), ..Self::default() }
+    }
+
     /// Draws a list and copies the picture out.
     ///
     /// # Errors

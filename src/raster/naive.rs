@@ -7,6 +7,7 @@ use glam::{Vec2, Vec4};
 
 use crate::draw_list::{Blend, DrawList};
 use crate::error::LodError;
+use crate::job::Job;
 use crate::raster::frame::{EMPTY_ID, Frame};
 use crate::raster::samples::{self, SUBPIXEL_COUNT};
 use crate::raster::setup::{Grid, Shape, Unit, cut, flags};
@@ -18,7 +19,12 @@ use crate::view::View;
 ///
 /// # Errors
 /// As the renderer.
-pub fn draw_naive(list: &DrawList, view: &View, sample_count: u32) -> Result<Frame, LodError> {
+pub fn draw_naive(
+    list: &DrawList,
+    view: &View,
+    sample_count: u32,
+    job: &Job,
+) -> Result<Frame, LodError> {
     list.check()?;
     let positions = samples::positions(sample_count)?;
     let side = view.width.max(view.height).next_power_of_two();
@@ -35,6 +41,7 @@ pub fn draw_naive(list: &DrawList, view: &View, sample_count: u32) -> Result<Fra
     let (width, height) = (view.width as usize, view.height as usize);
     let mut frame = Frame { width, height, ..Frame::default() };
     for y in 0..i32::try_from(height).expect("at most 16384") {
+        job.check()?;
         for x in 0..i32::try_from(width).expect("at most 16384") {
             let mut sum = Vec4::ZERO;
             let (mut depth, mut id) = (f32::INFINITY, EMPTY_ID);

@@ -357,7 +357,7 @@ fn equals_the_naive_twin() {
             let list = soup(seed, &view);
             for sample_count in [1, 4, 8, 16, 21] {
                 let fast = draw(&list, &view, sample_count);
-                let naive = draw_naive(&list, &view, sample_count).expect("valid");
+                let naive = draw_naive(&list, &view, sample_count, &Job::default()).expect("valid");
                 assert_eq!(fast.ids, naive.ids, "seed {seed}, {sample_count} samples");
                 assert_eq!(fast.depth, naive.depth, "seed {seed}, {sample_count} samples");
                 // sums in another order, and untextured triangles at the samples' centroid: colour

@@ -1,0 +1,118 @@
+"""What a benchmark gives back: one row a case and peer, ready for JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import statistics
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+
+__all__ = ["Row", "interleaved"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """
+    The same work done by treelod and by a peer, in turns, on the same machine.
+
+    Attributes
+    ----------
+    group : str
+        Benchmark: "raster" or "bake", for example.
+    case : str
+        What was done: input, size, samples, threads.
+    ours_secs : float
+        Median time of treelod, in seconds.
+    peer : str
+        Who else did it.
+    peer_secs : float
+        Median time of the peer, in seconds.
+    ours_error, peer_error : float or None
+        Error against the benchmark's reference; None where none was measured.
+    error_kind : str
+        Which error that is; empty where there is none.
+    aim : float or None
+        Speed-up that is aimed for; None where there is no aim.
+    """
+
+    group: str
+    case: str
+    ours_secs: float
+    peer: str
+    peer_secs: float
+    ours_error: float | None = None
+    peer_error: float | None = None
+    error_kind: str = ""
+    aim: float | None = None
+
+    @property
+    def speedup(self) -> float:
+        """How many times faster than the peer treelod is."""
+        return self.peer_secs / self.ours_secs
+
+    def to_json(self) -> str:
+        """
+        Return the row as one line of JSON, its keys in a fixed order.
+
+        Raises
+        ------
+        ValueError
+            If a number is not finite.
+        """
+        facts = asdict(self)
+        keys = list(facts)
+        facts["speedup"] = self.speedup
+        keys.insert(keys.index("peer_secs") + 1, "speedup")
+        return json.dumps({key: facts[key] for key in keys}, allow_nan=False)
+
+
+def interleaved(
+    runs: Mapping[str, Callable[[], float | None]], *, repeats: int, warmup: int = 1
+) -> dict[str, float]:
+    """
+    Time several ways to do the same work, taking turns.
+
+    Taking turns spreads whatever else the machine does over all of them alike.
+
+    Parameters
+    ----------
+    runs : mapping of str to callable
+        Each does the work once. One that times itself returns its seconds; one that returns None
+        is timed from outside.
+    repeats : int
+        Rounds that are counted, at least 1.
+    warmup : int, default 1
+        Rounds that come first and are not counted.
+
+    Returns
+    -------
+    dict of str to float
+        Median seconds of each.
+
+    Raises
+    ------
+    ValueError
+        If `repeats` is below 1, or if a run reports a time that is not finite and positive.
+
+    Examples
+    --------
+    >>> interleaved({"fast": lambda: 1.0, "slow": lambda: 3.0}, repeats=3)
+    {'fast': 1.0, 'slow': 3.0}
+    """
+    if repeats < 1:
+        msg = f"repeats must be at least 1, got {repeats}"
+        raise ValueError(msg)
+    secs: dict[str, list[float]] = {name: [] for name in runs}
+    for turn in range(-warmup, repeats):
+        for name, run in runs.items():
+            start = time.perf_counter()
+            reported = run()
+            spent = time.perf_counter() - start if reported is None else reported
+            if not (math.isfinite(spent) and spent > 0.0):
+                msg = f"{name} reports {spent} seconds"
+                raise ValueError(msg)
+            if turn >= 0:
+                secs[name].append(spent)
+    return {name: statistics.median(spent) for name, spent in secs.items()}

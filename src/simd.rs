@@ -1,0 +1,112 @@
+//! Which vector instructions kernels use: found out once, or chosen by `TREELOD_SIMD`.
+//!
+//! Results are the same bytes at every level: kernels use the same operations in the same order in
+//! each lane, and never a fused multiply-add.
+
+use std::sync::OnceLock;
+
+use fearless_simd::{Avx2, Fallback, Simd, Sse2};
+
+use crate::error::LodError;
+
+/// Instructions that kernels may use.
+#[derive(Debug, Clone, Copy)]
+pub enum Level {
+    /// No vectors of ours; the compiler may still find some.
+    Scalar(Fallback),
+    /// Four lanes, which every x86-64 has.
+    Sse2(Sse2),
+    /// Eight lanes.
+    Avx2(Avx2),
+}
+
+/// Names of the levels, as `TREELOD_SIMD` takes them.
+pub const NAMES: [&str; 3] = ["scalar", "sse2", "avx2"];
+
+impl Level {
+    /// The level of a name.
+    ///
+    /// # Errors
+    /// [`LodError::Invalid`] for a name that is none of [`NAMES`], or if this machine lacks it.
+    pub fn named(argument: &'static str, name: &str) -> Result<Self, LodError> {
+        let best = fearless_simd::Level::new();
+        let found = match name {
+            "scalar" => fallback().map(Self::Scalar),
+            "sse2" => best.as_sse2().map(Self::Sse2),
+            "avx2" => best.as_avx2().map(Self::Avx2),
+            _ => {
+                let why = format!("must be one of {NAMES:?}, got {name:?}");
+                return Err(LodError::Invalid { name: argument, why });
+            }
+        };
+        let why = || format!("this machine has no {name}");
+        found.ok_or_else(|| LodError::Invalid { name: argument, why: why() })
+    }
+
+    /// What `TREELOD_SIMD` asks for, else the best that this machine has. Read once.
+    ///
+    /// # Errors
+    /// As [`Level::named`].
+    pub fn chosen() -> Result<Self, LodError> {
+        static CHOSEN: OnceLock<Result<Level, LodError>> = OnceLock::new();
+        CHOSEN
+            .get_or_init(|| match std::env::var("TREELOD_SIMD") {
+                Ok(name) => Self::named("TREELOD_SIMD", name.trim()),
+                Err(_) => Self::best(),
+            })
+            .clone()
+    }
+
+    /// Every level that this machine has, slowest first.
+    pub fn all() -> Vec<Self> {
+        NAMES.iter().filter_map(|name| Self::named("simd", name).ok()).collect()
+    }
+
+    fn best() -> Result<Self, LodError> {
+        let last = Self::all().pop();
+        last.ok_or_else(|| LodError::Invalid { name: "simd", why: "no level works".to_owned() })
+    }
+
+    /// Runs a kernel, compiled for the level.
+    #[inline]
+    pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        match self {
+            Self::Scalar(simd) => kernel.run(simd),
+            Self::Sse2(simd) => simd.vectorize(
+                #[inline(always)]
+                || kernel.run(simd),
+            ),
+            Self::Avx2(simd) => simd.vectorize(
+                #[inline(always)]
+                || kernel.run(simd),
+            ),
+        }
+    }
+}
+
+fn fallback() -> Option<Fallback> {
+    match fearless_simd::Level::fallback() {
+        fearless_simd::Level::Fallback(fallback) => Some(fallback),
+        _ => None,
+    }
+}
+
+/// Code that is compiled once for each level. `run` must be `#[inline(always)]`, and so must be all
+/// it calls in its hot loops.
+pub(crate) trait Kernel {
+    type Output;
+    fn run<S: Simd>(self, simd: S) -> Self::Output;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_levels_and_others_are_refused() {
+        assert!(matches!(Level::named("simd", "scalar"), Ok(Level::Scalar(_))), "everywhere");
+        let text = Level::named("simd", "avx9").expect_err("no such level").to_string();
+        assert_eq!(text, r#"simd: must be one of ["scalar", "sse2", "avx2"], got "avx9""#, "named");
+        assert!(!Level::all().is_empty(), "scalar at least");
+    }
+}

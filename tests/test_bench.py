@@ -1,0 +1,95 @@
+"""Do benchmarks give rows, and do all tools in them draw the same?"""
+
+import importlib.util
+import json
+import os
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from treelod.bench import GROUPS, Row, interleaved
+from treelod.cli import app
+
+KEYS = [
+    "group",
+    "case",
+    "ours_secs",
+    "peer",
+    "peer_secs",
+    "speedup",
+    "ours_error",
+    "peer_error",
+    "error_kind",
+    "aim",
+]
+
+SAME_PICTURE = 0.02
+"""Share by which the errors of two rasterisers with the same samples may differ: they round
+vertices alike, but not colours."""
+
+
+def test_a_row_is_a_line_of_json_with_its_keys_in_order():
+    row = Row(group="raster", case="c", ours_secs=0.5, peer="p", peer_secs=4.0, aim=8.0)
+    facts = json.loads(row.to_json())
+    assert list(facts) == KEYS
+    assert (facts["speedup"], facts["ours_error"], facts["error_kind"]) == (8.0, None, "")
+    with pytest.raises(ValueError, match="JSON"):
+        Row(group="raster", case="c", ours_secs=0.5, peer="p", peer_secs=float("inf")).to_json()
+
+
+def test_runs_take_turns_and_medians_ignore_the_warm_up():
+    turns = []
+
+    def run(name, secs):
+        times = iter(secs)
+
+        def once():
+            turns.append(name)
+            return next(times)
+
+        return once
+
+    medians = interleaved(
+        {"a": run("a", [9.0, 1.0, 5.0, 2.0]), "b": run("b", [9.0, 4.0, 4.0, 3.0])}, repeats=3
+    )
+    assert medians == {"a": 2.0, "b": 4.0}
+    assert turns == ["a", "b"] * 4
+    with pytest.raises(ValueError, match="repeats"):
+        interleaved({}, repeats=0)
+    with pytest.raises(ValueError, match="nan seconds"):
+        interleaved({"a": lambda: float("nan")}, repeats=1)
+
+
+def has_llvmpipe():
+    folders = [Path("/usr/share/vulkan/icd.d"), Path("/usr/local/share/vulkan/icd.d")]
+    drivers = [driver for folder in folders for driver in folder.glob("lvp_icd.*")]
+    return bool(drivers) and importlib.util.find_spec("wgpu") is not None
+
+
+@pytest.mark.skipif(
+    not has_llvmpipe() and "CI" not in os.environ,
+    reason="llvmpipe is not installed (Debian has it in mesa-vulkan-drivers)",
+)
+def test_raster_rows_compare_the_same_picture(tmp_path):
+    file = tmp_path / "rows.jsonl"
+    command = ["bench", "raster", "--small", "--repeats", "1", "--output", str(file)]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.stderr
+    rows = [json.loads(line) for line in file.read_text().splitlines()]
+    assert {row["peer"].split(" (")[0] for row in rows} == {
+        "llvmpipe",
+        "ours, scalar",
+        "the slow twin",
+    }
+    compared = [row for row in rows if row["peer_error"] is not None]
+    assert len(compared) == 4, "at 1 and 4 samples, on 1 and 2 threads"
+    for row in compared:
+        assert row["peer_error"] == pytest.approx(row["ours_error"], rel=SAME_PICTURE)
+
+
+def test_unknown_groups_are_refused():
+    done = CliRunner().invoke(app, ["bench", "nothing"])
+    assert done.exit_code == 2
+    for name in GROUPS:
+        assert name in done.stderr
