@@ -136,7 +136,8 @@ impl View {
         DVec3::new(relative.dot(self.right), relative.dot(self.up), -relative.dot(self.back))
     }
 
-    /// Pixel coordinates and depth of a world point; `None` nearer than the near plane.
+    /// Pixel coordinates and depth of a world point; `None` nearer than the near plane of a
+    /// perspective view.
     pub fn project(&self, point: DVec3) -> Option<(DVec2, f64)> {
         let p = self.view_from_world(point);
         if !self.is_orthographic() && p.z < self.near {

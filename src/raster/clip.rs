@@ -39,12 +39,12 @@ impl ClipSpace {
     /// The planes that keep shapes in front and within `guard` pixels, as (normal, offset): inside
     /// where normal.p + offset >= 0.
     fn planes(&self, guard: f64) -> impl Iterator<Item = DVec4> + use<> {
-        let near = self.perspective.then_some(DVec4::new(0.0, 0.0, 1.0, -self.near));
+        let near = DVec4::new(0.0, 0.0, 1.0, -self.near);
         // half the guard, so that rounding and the picture's centre stay within it
         let limit = guard * 0.5;
         let side = if self.perspective { (limit, 0.0) } else { (0.0, limit) };
         let sides = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)];
-        near.into_iter().chain(sides.map(|(x, y)| DVec4::new(x, y, side.0, side.1)))
+        std::iter::once(near).chain(sides.map(|(x, y)| DVec4::new(x, y, side.0, side.1)))
     }
 
     /// Both ends of a line as (x, y, key), cut to what is in front and within `guard` pixels; `None`

@@ -243,8 +243,7 @@ impl Placing {
         } else {
             (x + self.center[0], y + self.center[1], -z)
         };
-        let in_front = !self.perspective || z >= self.near;
-        let inside = in_front && x.abs() <= GUARD_PX && y.abs() <= GUARD_PX;
+        let inside = z >= self.near && x.abs() <= GUARD_PX && y.abs() <= GUARD_PX;
         ScreenVertex { x, y, key: if inside { key } else { f32::NAN }, source }
     }
 

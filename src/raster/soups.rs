@@ -156,8 +156,6 @@ fn free_soups() -> impl Strategy<Value = Soup> {
             } else {
                 Projection::Perspective { fov_y: std::f64::consts::FRAC_PI_2 }
             };
-            // a parallel view shows everything from afar
-            let eye = if parallel { eye - toward * 32.0 } else { eye };
             let view = View::new(eye, eye + toward, DVec3::Y, projection, SIZE, 1.0 / 16.0);
             let triangles = assemble(&faces, points.len(), |corner, _| {
                 Vec3::from(points[corner].map(f32::from)) / 64.0

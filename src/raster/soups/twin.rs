@@ -41,6 +41,7 @@ const SNAP_PX: f64 = 0.75 / 256.0;
 struct Corner {
     /// x and y in pixels from the picture's middle, and 1: times depth in perspective.
     homogeneous: DVec3,
+    depth: f64,
     /// The key times the last of `homogeneous`: 1, or -depth in a parallel view.
     key: f64,
     /// Largest rounding error of a pixel coordinate, and of the key.
@@ -97,6 +98,7 @@ impl Soup {
                 let rounding = if self.exact { 0.0 } else { OPERATIONS * ROUNDING * size };
                 Corner {
                     homogeneous: DVec3::new(across * scale, down * scale, 1.0),
+                    depth,
                     key: -depth,
                     error_px: rounding * scale,
                     key_error: rounding,
@@ -108,6 +110,7 @@ impl Soup {
                 let slope = across.abs().max(down.abs()) / depth.abs();
                 Corner {
                     homogeneous: DVec3::new(across * FOCAL, down * FOCAL, depth),
+                    depth,
                     key: 1.0,
                     error_px: rounding * (1.0 + slope) * FOCAL,
                     key_error: rounding / depth.abs(),
@@ -119,9 +122,7 @@ impl Soup {
     fn placed(&self) -> Vec<Placed> {
         let place = |(number, triangle): (usize, &[Vec3; 3])| {
             let corners = triangle.map(|position| self.corner(position));
-            let in_front = corners
-                .iter()
-                .all(|corner| !self.is_perspective() || corner.homogeneous.z >= self.view.near);
+            let in_front = corners.iter().all(|corner| corner.depth >= self.view.near);
             assert!(in_front || !self.exact, "exact soups lie in front of the eye");
             Placed {
                 corners,
@@ -196,18 +197,27 @@ impl Soup {
                 f64::NEG_INFINITY
             };
         }
-        if !self.is_perspective() {
-            return nearest;
+        let weighted = [0, 1, 2].map(|corner| planes[corner] * corners[corner].key);
+        let plane = weighted.iter().sum::<DVec3>() / determinant;
+        let margin = self.near_key() - plane.dot(ray);
+        let rounding = corners.iter().map(|corner| corner.key_error).fold(0.0, f64::max);
+        if margin.abs() <= rounding {
+            return nearest.min(0.0);
         }
-        let plane = planes.iter().sum::<DVec3>() / determinant;
-        let to_near = (1.0 / self.view.near - plane.dot(ray)) / plane.truncate().length();
+        let to_near = margin / plane.truncate().length();
         if to_near.is_nan() { nearest } else { nearest.min(to_near) }
+    }
+
+    /// Key of the near plane.
+    fn near_key(&self) -> f64 {
+        if self.is_perspective() { 1.0 / self.view.near } else { -self.view.near }
     }
 
     /// Rounding of a clipped corner, which is computed in f64, to an f32 pixel.
     fn clip_error_px(&self, corners: [Corner; 3]) -> f64 {
         let furthest = corners.iter().map(|corner| corner.homogeneous.truncate().length());
-        2.0 * ROUNDING * furthest.fold(0.0, f64::max) / self.view.near
+        let nearest = if self.is_perspective() { self.view.near } else { 1.0 };
+        2.0 * ROUNDING * furthest.fold(0.0, f64::max) / nearest
     }
 
     /// Where the key may lie: the plane through the corners at the point, never beyond the corners,
@@ -215,10 +225,11 @@ impl Soup {
     fn key_range(&self, corners: [Corner; 3], in_front: bool, point: DVec2) -> (f64, f64) {
         if !in_front {
             // what a clipped triangle is cut into decides its rounding
-            let depths = corners.map(|corner| corner.homogeneous.z);
-            let furthest = depths.into_iter().fold(f64::NEG_INFINITY, f64::max);
-            let slack = 1.0 + OPERATIONS * ROUNDING;
-            return (1.0 / (furthest * slack), slack / self.view.near);
+            let furthest = corners.map(|corner| corner.depth).into_iter().fold(0.0, f64::max);
+            let lowest = if self.is_perspective() { 1.0 / furthest } else { -furthest };
+            let units = OPERATIONS * ROUNDING;
+            let highest = self.near_key();
+            return (lowest - units * lowest.abs(), highest + units * highest.abs());
         }
         let pixels = corners.map(|corner| corner.homogeneous.truncate() / corner.homogeneous.z);
         let keys = corners.map(|corner| corner.key / corner.homogeneous.z);
