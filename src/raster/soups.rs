@@ -5,12 +5,13 @@
 
 mod twin;
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec2, Vec3, Vec4};
 use proptest::prelude::*;
 use proptest::test_runner::{RngSeed, TestError, TestRunner};
 
 use self::twin::{MAX_TRIANGLE_COUNT, Soup};
 use super::samples::{self, SUBPIXEL_COUNT};
+use crate::draw_list::{Blend, Buffers, Primitive};
 use crate::view::{Projection, View};
 
 /// Two columns of tiles and a ragged one, several rows of them.
@@ -265,4 +266,42 @@ fn soups_in_perspective_agree() {
 #[test]
 fn soups_around_the_eye_agree() {
     run(free_soups(), Soup::check);
+}
+
+#[test]
+fn a_million_points_on_one_pixel_are_one_pixel() {
+    // two batches, the nearest point and its equals in both; on the border of four pixels too
+    let count = 1_050_000_u32;
+    let view = pixel_view();
+    let height =
+        |index: u32| if index % 100_000 == 70_007 { 3.0 } else { (index % 97) as f32 / 64.0 };
+    for (middle, size_px, pixel) in [([20.5, 10.5], 1.0, (20, 10)), ([20.0, 10.0], 2.0, (19, 9))] {
+        let positions: Vec<Vec3> =
+            (0..count).map(|index| Vec3::new(middle[0], -middle[1], height(index))).collect();
+        let number = |index: u32| Vec3::splat(f32::from(u8::from(index == 70_007)));
+        let front: Vec<Vec3> = (0..count).map(number).collect();
+        let length = positions.len();
+        let buffers = Buffers {
+            normals: vec![Vec3::Z; length],
+            uvs: vec![Vec2::ZERO; length],
+            base: vec![Vec4::new(0.0, 0.0, 0.0, 0.25); length],
+            back: front.clone(),
+            front,
+            indices: (0..count).collect(),
+            source_ids: Vec::new(),
+            positions,
+        };
+        let points = Primitive::Points { size_px };
+        let frame = twin::draw(&view, buffers.clone(), points, Blend::Opaque, 4);
+        let at = pixel.1 * frame.width + pixel.0;
+        assert_eq!((frame.ids[at], frame.depth[at]), (70_007, 13.0), "the earliest of the nearest");
+        assert_eq!(frame.color[at], Vec4::ONE, "its colour at all samples");
+        let covered = frame.color.iter().filter(|color| color.w > 0.0).count();
+        assert_eq!(covered, if size_px == 1.0 { 1 } else { 4 }, "points of {size_px} pixels");
+        assert_eq!(frame.stats.point_count, u64::from(count), "all of them submitted");
+        let blended = twin::draw(&view, buffers, points, Blend::Over, 4);
+        // a rounding of each step is a quarter forgotten by the next
+        let clear = (1.0 - blended.color[at].w).abs();
+        assert!(clear <= 4.0 * f32::EPSILON, "a million times a quarter is opaque, not {clear}");
+    }
 }

@@ -10,7 +10,7 @@
 //! Each triangle's colour is a digit of its own in the picture's sum, so that one frame tells how many
 //! of a pixel's samples see which triangle.
 
-use glam::{DVec2, DVec3, Vec2, Vec3, Vec4};
+use glam::{DAffine3, DVec2, DVec3, Vec2, Vec3, Vec4};
 
 use crate::draw_list::{Blend, Buffers, DrawList, Geometry, Instance, Item, Primitive, Surface};
 use crate::job::{self, Job};
@@ -289,7 +289,8 @@ impl Soup {
         let positions: Vec<Vec3> = self.triangles.as_flattened().to_vec();
         let colors = (0..positions.len()).map(|vertex| digit_color(vertex / 3)).collect::<Vec<_>>();
         let count = positions.len();
-        self.draw_buffers(
+        draw(
+            &self.view,
             Buffers {
                 normals: vec![Vec3::Z; count],
                 uvs: vec![Vec2::ZERO; count],
@@ -300,31 +301,10 @@ impl Soup {
                 source_ids: Vec::new(),
                 positions,
             },
+            Primitive::Triangles,
             Blend::Opaque,
+            self.sample_count,
         )
-    }
-
-    fn draw_buffers(&self, buffers: Buffers, blend: Blend) -> Frame {
-        let mut list = DrawList::default();
-        let count = u32::try_from(self.triangles.len()).expect("few");
-        let source = list.geometry(&Geometry::new(buffers));
-        let instances = list.instance(Instance::new(&glam::DAffine3::IDENTITY, &self.view));
-        list.items.push(Item {
-            primitive: Primitive::Triangles,
-            vertices: source,
-            indices: source,
-            primitives: 0..count,
-            instances,
-            surface: Surface::VertexColor,
-            blend,
-            depth_write: blend != Blend::Over,
-            slab: None,
-        });
-        let outputs = Outputs { ids: true, ..Outputs::COLOR_DEPTH };
-        let settings =
-            Settings { sample_count: self.sample_count, outputs, background: Vec4::ZERO };
-        let render = || Renderer::default().render(&list, &self.view, &settings, &Job::default());
-        job::run(Some(2), render).expect("a valid list")
     }
 
     /// Every pixel with the places of its samples, in sub-pixel steps of the picture.
@@ -372,7 +352,7 @@ impl Soup {
             source_ids: Vec::new(),
             positions,
         };
-        let frame = self.draw_buffers(buffers, Blend::Over);
+        let frame = draw(&self.view, buffers, Primitive::Triangles, Blend::Over, self.sample_count);
         let placed = self.placed();
         for (pixel, places) in self.pixels() {
             let clear: f32 = places
@@ -393,6 +373,36 @@ impl Soup {
         }
         Ok(())
     }
+}
+
+/// Draws the primitives of some buffers.
+pub(super) fn draw(
+    view: &View,
+    buffers: Buffers,
+    primitive: Primitive,
+    blend: Blend,
+    sample_count: u32,
+) -> Frame {
+    let mut list = DrawList::default();
+    let count =
+        u32::try_from(buffers.indices.len() / primitive.index_count()).expect("u32 indices");
+    let source = list.geometry(&Geometry::new(buffers));
+    let instances = list.instance(Instance::new(&DAffine3::IDENTITY, view));
+    list.items.push(Item {
+        primitive,
+        vertices: source,
+        indices: source,
+        primitives: 0..count,
+        instances,
+        surface: Surface::VertexColor,
+        blend,
+        depth_write: blend != Blend::Over,
+        slab: None,
+    });
+    let outputs = Outputs { ids: true, ..Outputs::COLOR_DEPTH };
+    let settings = Settings { sample_count, outputs, background: Vec4::ZERO };
+    let render = || Renderer::default().render(&list, view, &settings, &Job::default());
+    job::run(Some(2), render).expect("a valid list")
 }
 
 /// The top-left rule with integers: a sample on an edge counts as if it lay a hair further right, and
