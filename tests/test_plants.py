@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import treelod as tl
-from made_gltf import Gltf, quad, textured
+from made_gltf import Gltf, png, quad, textured
 from treelod.export import plant_glb
-from treelod.plant_files import gltf
+from treelod.plant_files import gltf, images
 
 # Triangles, leaves, wood triangles and bounds as counted by trimesh 5.2 after welding (2026-11-18);
 # what is a leaf was decided by looking at the plants.
@@ -551,6 +551,24 @@ def test_obj_names(tmp_path):
     assert tl.load_plant(path, ["bark"]).foliage.leaf_count == 1
     with pytest.raises(ValueError, match="there are 'bark', 'crown', 'green leaf', 'trunk'"):
         tl.load_plant(path, ["leaves"])
+
+
+def test_obj_materials_that_share_a_picture_decode_it_once(tmp_path, monkeypatch):
+    decoded = []
+    plain = images.decode
+    monkeypatch.setattr(images, "decode", lambda *given: decoded.append(given[1]) or plain(*given))
+    (tmp_path / "a.png").write_bytes(png([[[1, 2, 3]]]))
+    (tmp_path / "a.mtl").write_text(
+        "newmtl m\nmap_Kd a.png\nnewmtl n\nmap_Kd ./a.png\nnewmtl o\nmap_Kd a.png\nmap_d a.png\n"
+    )
+    path = tmp_path / "a.obj"
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\n"
+    faces = "".join(f"usemtl {name}\nf 1/1 2/1 3/1\n" for name in "mno")
+    path.write_text("mtllib a.mtl\n" + corners + faces)
+    textures = [material.texture.tolist() for material in tl.load_plant(path).materials]
+    # the last is cut out by the brightness of the same picture, which leaves the others alone
+    assert textures == [[[[1, 2, 3, 255]]], [[[1, 2, 3, 255]]], [[[1, 2, 3, 1]]]]
+    assert len(decoded) == 1
 
 
 @pytest.mark.parametrize("corner", ["{0}", "{0}/{0}", "{0}//{0}", "{0}/{0}/{0}"])

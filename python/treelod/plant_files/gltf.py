@@ -9,6 +9,7 @@ Materials, pictures and instances are read here.
 """
 
 import io
+import itertools
 import json
 import math
 import struct
@@ -20,8 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from treelod.errors import PlantFileError
-from treelod.plant_files import images
+from treelod.plant_files import checks, images
+from treelod.plant_files.checks import Json
 from treelod.plant_files.model import (
+    MAX_NODE_COUNT,
     AlphaMode,
     MaterialFacts,
     Model,
@@ -32,8 +35,6 @@ from treelod.plant_files.model import (
 from treelod.plant_files.sources import Source
 
 __all__ = ["read"]
-
-Json = dict[str, Any]
 
 READ_EXTENSIONS = {
     "EXT_mesh_gpu_instancing",
@@ -151,11 +152,12 @@ class _File:
 
     def model(self) -> Model:
         self.check_extensions()
-        placed = list(self.placed_primitives())
+        placed = list(itertools.islice(self.placed_primitives(), MAX_NODE_COUNT + 1))
         used = sorted({prim.material for _, prim, _ in placed})
         check_counts(
             sum(prim.triangle_count * count for _, prim, count in placed),
             sum(prim.vertex_count * count for _, prim, count in placed),
+            len(placed),
         )
         if not any(prim.triangle_count for _, prim, _ in placed):
             return Model(pieces=[], materials=[])
@@ -179,16 +181,16 @@ class _File:
 
     def item(self, name: str, index: object, what: str) -> Json:
         values = self.all(name)
-        return values[_index(index, len(values), f"{what}: {name} index")]
+        return values[checks.index(index, len(values), f"{what}: {name} index")]
 
     def check_extensions(self) -> None:
         required = self.header.get("extensionsRequired", [])
-        if not isinstance(required, list):
-            msg = "extensionsRequired is not a list"
+        if not isinstance(required, list) or not all(isinstance(name, str) for name in required):
+            msg = "extensionsRequired is not a list of names"
             raise PlantFileError(msg)
         unknown = set(required) - READ_EXTENSIONS - HARMLESS_EXTENSIONS - {TRANSMISSION}
         if unknown:
-            names = ", ".join(sorted(map(str, unknown)))
+            names = ", ".join(sorted(unknown))
             msg = f"it requires {names}, which is not read"
             raise PlantFileError(msg)
         used = self.header.get("extensionsUsed", [])
@@ -198,6 +200,7 @@ class _File:
     def nodes(self) -> Iterator[tuple[int, list[int]]]:
         """Every node of the default scene once, with the path of nodes that leads to it."""
         nodes = self.all("nodes")
+        check_counts(node_count=len(nodes))
         scenes = self.all("scenes")
         if scenes:
             roots = self.item("scenes", self.header.get("scene", 0), "scene").get("nodes", [])
@@ -205,10 +208,10 @@ class _File:
             children = {child for node in nodes for child in _children(node)}
             roots = [index for index in range(len(nodes)) if index not in children]
         seen: set[int] = set()
-        stack = [(index, [index]) for index in reversed(_index_list(roots, "scene"))]
+        stack = [(index, [index]) for index in reversed(checks.index_list(roots, "scene"))]
         while stack:
             index, path = stack.pop()
-            _index(index, len(nodes), "scene: node index")
+            checks.index(index, len(nodes), "scene: node index")
             if index in seen:
                 msg = f"node {index} is reached twice: the nodes are no tree, or run in a circle"
                 raise PlantFileError(msg)
@@ -229,7 +232,7 @@ class _File:
             node = nodes[index]
             if "mesh" not in node:
                 continue
-            mesh = _index(node["mesh"], len(self.all("meshes")), f"node {index}: mesh index")
+            mesh = checks.index(node["mesh"], len(self.all("meshes")), f"node {index}: mesh index")
             if mesh not in known:
                 known[mesh] = [prim for prim in self.primitives(mesh) if prim is not None]
                 if len(known[mesh]) < len(self.all("meshes")[mesh].get("primitives", [])):
@@ -253,6 +256,9 @@ class _File:
             raise PlantFileError(msg)
         for number, primitive in enumerate(primitives):
             label = f"mesh {name!r}, primitive {number}"
+            if not isinstance(primitive, dict):
+                msg = f"{label} is not an object"
+                raise PlantFileError(msg)
             mode = primitive.get("mode", TRIANGLES)
             if mode in (0, 1, 2, 3):
                 yield None
@@ -274,7 +280,7 @@ class _File:
         material = len(materials)
         uv_set = 0
         if "material" in primitive:
-            material = _index(primitive["material"], material, f"{label}: material index")
+            material = checks.index(primitive["material"], material, f"{label}: material index")
             uv_set = _uv_set(_base_texture(materials[material]))
         wanted = {
             "POSITION": ("POSITION", {"VEC3"}),
@@ -313,19 +319,20 @@ class _File:
     def accessor(self, index: object, label: str, types: set[str]) -> Json:
         """Return an accessor after checking that its values lie inside its buffer."""
         accessor = self.item("accessors", index, label)
-        if accessor.get("type") not in types or accessor.get("componentType") not in COMPONENTS:
-            kind = f"{accessor.get('type')} of {accessor.get('componentType')}"
+        kind, component = accessor.get("type"), accessor.get("componentType")
+        if not (checks.one_of(kind, types) and checks.one_of(component, COMPONENTS)):
+            kind = f"{kind} of {component}"
             msg = f"{label}: its accessor is {kind}, expected {' or '.join(sorted(types))}"
             raise PlantFileError(msg)
         if "sparse" in accessor or "bufferView" not in accessor:
             msg = f"{label}: a sparse or empty accessor is not read"
             raise PlantFileError(msg)
-        count = _integer(accessor.get("count"), 1, f"{label}: count")
-        start = _integer(accessor.get("byteOffset", 0), 0, f"{label}: byteOffset")
+        count = checks.integer(accessor.get("count"), 1, f"{label}: count")
+        start = checks.integer(accessor.get("byteOffset", 0), 0, f"{label}: byteOffset")
         view = self.item("bufferViews", accessor["bufferView"], label)
         length = len(self.view_bytes(accessor["bufferView"], label))
         size = np.dtype(COMPONENTS[accessor["componentType"]]).itemsize * WIDTHS[accessor["type"]]
-        stride = _integer(view.get("byteStride", size), size, f"{label}: byteStride")
+        stride = checks.integer(view.get("byteStride", size), size, f"{label}: byteStride")
         needed = start + (count - 1) * stride + size
         if needed > length:
             msg = f"{label}: its values end at byte {needed} of a buffer view of {length} bytes"
@@ -358,9 +365,11 @@ class _File:
 
     def view_bytes(self, index: object, label: str) -> memoryview:
         view = self.item("bufferViews", index, label)
-        start = _integer(view.get("byteOffset", 0), 0, f"{label}: byteOffset")
-        length = _integer(view.get("byteLength"), 1, f"{label}: byteLength")
-        number = _index(view.get("buffer"), len(self.all("buffers")), f"{label}: buffer index")
+        start = checks.integer(view.get("byteOffset", 0), 0, f"{label}: byteOffset")
+        length = checks.integer(view.get("byteLength"), 1, f"{label}: byteLength")
+        number = checks.index(
+            view.get("buffer"), len(self.all("buffers")), f"{label}: buffer index"
+        )
         data = self.buffer(number)
         if start + length > len(data):
             msg = f"{label}: bytes {start} to {start + length} of a buffer of {len(data)} bytes"
@@ -371,14 +380,14 @@ class _File:
         if number not in self.buffers:
             stated = self.all("buffers")[number]
             what = f"buffer {number}"
+            length = checks.integer(stated.get("byteLength"), 1, f"{what}: byteLength")
             if "uri" in stated:
-                data = self.source.read_uri(stated["uri"], what)
+                data = self.source.read_uri(stated["uri"], what, length)
             elif number == 0 and self.blob is not None:
                 data = self.blob
             else:
                 msg = f"{what} has no data"
                 raise PlantFileError(msg)
-            length = _integer(stated.get("byteLength"), 1, f"{what}: byteLength")
             if length > len(data):
                 msg = f"{what} is cut short: {len(data)} of {length} bytes"
                 raise PlantFileError(msg)
@@ -395,10 +404,10 @@ class _File:
         name = str(stated.get("name") or f"material {index}")
         what = f"material {name!r}"
         mode = stated.get("alphaMode", "OPAQUE")
-        if mode not in ALPHA_MODES:
+        if not checks.one_of(mode, ALPHA_MODES):
             msg = f"{what}: alphaMode {mode!r}"
             raise PlantFileError(msg)
-        cutoff = _floats([stated.get("alphaCutoff", 0.5)], 1, f"{what}: alphaCutoff")[0]
+        cutoff = checks.floats([stated.get("alphaCutoff", 0.5)], 1, f"{what}: alphaCutoff")[0]
         if cutoff < 0:
             msg = f"{what}: alphaCutoff {cutoff} is below 0"
             raise PlantFileError(msg)
@@ -425,24 +434,26 @@ class _File:
         if index < len(self.all("materials")):
             base = _base(self.all("materials")[index])
             factor = base.get("baseColorFactor", base.get("diffuseFactor", [1, 1, 1, 1]))
-            colors *= np.clip(_floats(factor, 4, f"material {index}: base colour"), 0, 1)
+            colors *= np.clip(checks.floats(factor, 4, f"material {index}: base colour"), 0, 1)
         return colors.astype(np.float32)
 
     def texture(self, index: object, what: str) -> tuple[NDArray[np.uint8], tuple[Wrap, Wrap]]:
         texture = self.item("textures", index, what)
-        webp = _extension(texture, "EXT_texture_webp")
+        webp = checks.extension(texture, "EXT_texture_webp")
         number = webp.get("source", texture.get("source"))
         if number is None:
-            names = ", ".join(sorted(texture.get("extensions", {}))) or "no picture"
+            names = ", ".join(sorted(checks.extensions(texture))) or "no picture"
             msg = f"{what}: its texture has {names}, which is not read; PNG, JPEG and WebP are"
             raise PlantFileError(msg)
-        picture = self.picture(_index(number, len(self.all("images")), f"{what}: image index"))
+        picture = self.picture(
+            checks.index(number, len(self.all("images")), f"{what}: image index")
+        )
         sampler = {}
         if "sampler" in texture:
             sampler = self.item("samplers", texture["sampler"], what)
         modes = [sampler.get(key, 10497) for key in ("wrapS", "wrapT")]
         for mode in modes:
-            if mode not in WRAPS:
+            if not checks.one_of(mode, WRAPS):
                 msg = f"{what}: wrap mode {mode!r}"
                 raise PlantFileError(msg)
         return picture, (WRAPS[modes[0]], WRAPS[modes[1]])
@@ -462,8 +473,11 @@ class _File:
 
     def instance_attributes(self, node: int) -> dict[str, int]:
         """Accessors of a node's EXT_mesh_gpu_instancing that place its instances."""
-        extension = _extension(self.all("nodes")[node], "EXT_mesh_gpu_instancing")
+        extension = checks.extension(self.all("nodes")[node], "EXT_mesh_gpu_instancing")
         given = extension.get("attributes", {})
+        if not isinstance(given, dict):
+            msg = f"node {node}: the attributes of its instances are not an object"
+            raise PlantFileError(msg)
         return {name: given[name] for name in INSTANCE_TYPES if name in given}
 
     def instance_count(self, node: int) -> int:
@@ -617,19 +631,11 @@ class _Chosen:
         return self.slots.setdefault(key, len(self.slots))
 
 
-def _extension(owner: Json, name: str) -> Json:
-    extension = owner.get("extensions", {}).get(name, {})
-    if not isinstance(extension, dict):
-        msg = f"{name} is not an object"
-        raise PlantFileError(msg)
-    return extension
-
-
 def _base(material: Json) -> Json:
     """Return the part of a material that holds the base colour."""
     base = material.get("pbrMetallicRoughness")
     if base is None:
-        base = _extension(material, "KHR_materials_pbrSpecularGlossiness")
+        base = checks.extension(material, "KHR_materials_pbrSpecularGlossiness")
     if not isinstance(base, dict):
         msg = "pbrMetallicRoughness is not an object"
         raise PlantFileError(msg)
@@ -648,19 +654,19 @@ def _base_texture(material: Json) -> Json | None:
 def _uv_set(texture: Json | None) -> int:
     if texture is None:
         return 0
-    transform = _extension(texture, "KHR_texture_transform")
-    return _integer(transform.get("texCoord", texture.get("texCoord", 0)), 0, "texCoord")
+    transform = checks.extension(texture, "KHR_texture_transform")
+    return checks.integer(transform.get("texCoord", texture.get("texCoord", 0)), 0, "texCoord")
 
 
 def _transformed_uvs(uvs: NDArray[np.float64], texture: Json | None) -> NDArray[np.float64]:
     """Apply KHR_texture_transform: scale, turn counter-clockwise as seen with v down, shift."""
-    transform = _extension(texture or {}, "KHR_texture_transform")
+    transform = checks.extension(texture or {}, "KHR_texture_transform")
     if not transform:
         return uvs
     what = "KHR_texture_transform"
-    scale = _floats(transform.get("scale", [1, 1]), 2, what)
-    offset = _floats(transform.get("offset", [0, 0]), 2, what)
-    angle = _floats([transform.get("rotation", 0)], 1, what)[0]
+    scale = checks.floats(transform.get("scale", [1, 1]), 2, what)
+    offset = checks.floats(transform.get("offset", [0, 0]), 2, what)
+    angle = checks.floats([transform.get("rotation", 0)], 1, what)[0]
     c, s = math.cos(angle), math.sin(angle)
     turned: NDArray[np.float64] = (uvs * scale) @ np.array([[c, -s], [s, c]]) + offset
     return turned
@@ -709,7 +715,7 @@ def _local_transform(node: Json, what: str) -> Json:
     transform = {}
     for key, length in {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}.items():
         if key in node:
-            transform[key] = _floats(node[key], length, f"{what}: {key}").tolist()
+            transform[key] = checks.floats(node[key], length, f"{what}: {key}").tolist()
     if "rotation" in transform and not any(transform["rotation"]):
         msg = f"{what}: a rotation of length 0"
         raise PlantFileError(msg)
@@ -717,40 +723,4 @@ def _local_transform(node: Json, what: str) -> Json:
 
 
 def _children(node: Json) -> list[int]:
-    return _index_list(node.get("children", []), "children")
-
-
-def _index_list(values: object, what: str) -> list[int]:
-    if not isinstance(values, list):
-        msg = f"{what}: not a list"
-        raise PlantFileError(msg)
-    return [_integer(value, 0, f"{what}: node index") for value in values]
-
-
-def _integer(value: object, low: int, what: str) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or value < low:
-        msg = f"{what} is {value!r}, not an integer of at least {low}"
-        raise PlantFileError(msg)
-    return value
-
-
-def _index(value: object, length: int, what: str) -> int:
-    index = _integer(value, 0, what)
-    if index >= length:
-        msg = f"{what} {index}, but there are {length}"
-        raise PlantFileError(msg)
-    return index
-
-
-def _floats(values: object, length: int, what: str) -> NDArray[np.float64]:
-    numbers = isinstance(values, list) and all(
-        isinstance(value, (int, float)) and not isinstance(value, bool) for value in values
-    )
-    if not numbers or len(values) != length:  # type: ignore[arg-type]
-        msg = f"{what} is {values!r}, not {length} numbers"
-        raise PlantFileError(msg)
-    array = np.array(values, dtype=np.float64)
-    if not np.isfinite(array).all():
-        msg = f"{what} is not finite"
-        raise PlantFileError(msg)
-    return array
+    return checks.index_list(node.get("children", []), "children")

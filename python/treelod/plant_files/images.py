@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from treelod.errors import PlantFileError
 
@@ -75,7 +75,8 @@ def decode(data: bytes, what: str, charge: Callable[[int], None]) -> NDArray[np.
         raise PlantFileError(msg) from error
     except Exception as error:
         # decoders raise whatever a damaged stream leads them to
-        msg = f"{what} is damaged, or no {', '.join(FORMATS)} picture ({error})"
+        reason = "nothing known" if isinstance(error, UnidentifiedImageError) else error
+        msg = f"{what} is damaged, or no {', '.join(FORMATS)} picture ({reason})"
         raise PlantFileError(msg) from error
 
 

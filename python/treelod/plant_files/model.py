@@ -10,6 +10,7 @@ from treelod.errors import LimitError, PlantFileError
 
 __all__ = [
     "MAX_FILE_BYTES",
+    "MAX_NODE_COUNT",
     "MAX_TRIANGLE_COUNT",
     "MAX_VERTEX_COUNT",
     "MaterialFacts",
@@ -26,6 +27,9 @@ MAX_TRIANGLE_COUNT = 1 << 25
 
 MAX_VERTEX_COUNT = 3 * MAX_TRIANGLE_COUNT
 """Most vertices of one plant: enough for triangles that share none."""
+
+MAX_NODE_COUNT = 1 << 17
+"""Most nodes of a scene, and most primitives that they place: each takes about a millisecond."""
 
 MAX_COORDINATE = 1e12
 """Largest coordinate in file units; areas of what lies beyond would leave the range of a float."""
@@ -85,9 +89,10 @@ class Model:
         )
 
 
-def check_counts(triangle_count: int, vertex_count: int = 0) -> None:
+def check_counts(triangle_count: int = 0, vertex_count: int = 0, node_count: int = 0) -> None:
     """Refuse more than the limits, before anything of that size is made."""
     counts = {
+        "nodes or primitives": (node_count, MAX_NODE_COUNT),
         "triangles": (triangle_count, MAX_TRIANGLE_COUNT),
         "vertices": (vertex_count, MAX_VERTEX_COUNT),
     }

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from treelod.errors import PlantFileError
-from treelod.plant_files import images
 from treelod.plant_files.model import AlphaMode, MaterialFacts, Wrap
 from treelod.plant_files.sources import Source
 
@@ -82,19 +81,15 @@ class Entry:
         texture = None
         what = f"material {self.name!r}"
         if self.picture is not None:
-            texture = images.decode(
-                source.read_name(self.picture, what),
-                f"the map_Kd of {what}",
-                source.charge_texels,
-            )
+            texture = source.read_picture(self.picture, what, f"the map_Kd of {what}")
         if self.opacity_picture is None:
             return texture
-        data = source.read_name(self.opacity_picture, what)
-        opacity = images.decode(data, f"the map_d of {what}", source.charge_texels)
+        opacity = source.read_picture(self.opacity_picture, what, f"the map_d of {what}")
         # a grey picture states opacity as its brightness, one with alpha as its alpha
         alpha = opacity[..., 3] if int(opacity[..., 3].min()) < 255 else opacity[..., 0]
         if texture is None:
             texture = np.full((*alpha.shape, 4), 255, np.uint8)
+        texture = texture.copy()
         if alpha.shape != texture.shape[:2]:
             size = (texture.shape[1], texture.shape[0])
             alpha = np.asarray(Image.fromarray(alpha).resize(size, Image.Resampling.NEAREST))

@@ -51,7 +51,7 @@ def read(source: Source) -> Model:
     if lines.triangle_count == 0:
         return Model(pieces=[], materials=[])
     defined: dict[str, mtl.Entry] = {}
-    for name in lines.libraries:
+    for name in dict.fromkeys(lines.libraries):
         defined |= mtl.parse(_decoded(source.read_name(name, "mtllib")))
     warnings = ["points and lines are ignored"] if lines.has_lines else []
     facts = []

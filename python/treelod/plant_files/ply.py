@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from treelod.color import linear_from_srgb
 from treelod.errors import PlantFileError
-from treelod.plant_files import images
 from treelod.plant_files.model import AlphaMode, MaterialFacts, Model, Piece, check_counts
 from treelod.plant_files.sources import Source
 
@@ -43,8 +42,7 @@ def read(source: Source) -> Model:
         raise PlantFileError(msg)
     texture = None
     if picture is not None:
-        data_of_picture = source.read_name(picture, "TextureFile")
-        texture = images.decode(data_of_picture, "its TextureFile", source.charge_texels)
+        texture = source.read_picture(picture, "TextureFile", "its TextureFile")
     scene = trimesh.load_scene(
         io.BytesIO(data), file_type="ply", process=False, skip_materials=True
     )

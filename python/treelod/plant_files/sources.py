@@ -11,7 +11,11 @@ import re
 import urllib.parse
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from treelod.errors import PlantFileError
+from treelod.plant_files import images
 from treelod.plant_files.model import MAX_FILE_BYTES
 
 __all__ = ["Source"]
@@ -49,6 +53,8 @@ class Source:
             raise PlantFileError(msg)
         self._root = path.parent.resolve()
         self._texel_count = 0
+        self._byte_count = 0
+        self._pictures: dict[Path, NDArray[np.uint8]] = {}
 
     def charge_texels(self, count: int) -> None:
         """
@@ -70,25 +76,47 @@ class Source:
         """Bytes of the plant file."""
         return self.path.read_bytes()
 
-    def read_uri(self, uri: object, what: str) -> bytes:
-        """Bytes behind a glTF URI: base64 data or a percent-encoded relative path."""
+    def read_uri(self, uri: object, what: str, byte_count: int | None = None) -> bytes:
+        """
+        Bytes behind a glTF URI: base64 data or a percent-encoded relative path.
+
+        Of a file no more than `byte_count` bytes are read: a file may be far larger than what a
+        plant says that it needs of it.
+        """
         if not isinstance(uri, str):
             msg = f"the URI of {what} is no text"
             raise PlantFileError(msg)
         if uri[:5].lower() == "data:":
             return _data_bytes(uri, what)
-        return self.read_name(urllib.parse.unquote(uri), what)
+        return self.read_name(urllib.parse.unquote(uri), what, byte_count)
 
-    def read_name(self, name: str, what: str) -> bytes:
+    def read_name(self, name: str, what: str, byte_count: int | None = None) -> bytes:
         """Bytes of the file at a relative path, in the folder of the plant file or below."""
+        path = self._file(name, what)
+        size = path.stat().st_size
+        wanted = size if byte_count is None else min(size, byte_count)
+        self._byte_count += wanted
+        if self._byte_count > MAX_FILE_BYTES:
+            msg = f"{what} refers to {name!r}, with which it is more than {MAX_FILE_BYTES} bytes"
+            raise PlantFileError(msg)
+        with path.open("rb") as file:
+            return file.read(wanted)
+
+    def read_picture(self, name: str, what: str, label: str) -> NDArray[np.uint8]:
+        """Texels (H, W, 4) of a picture at a relative path: decoded once, and read-only."""
+        path = self._file(name, what)
+        if path not in self._pictures:
+            texels = images.decode(self.read_name(name, what), label, self.charge_texels)
+            texels.flags.writeable = False
+            self._pictures[path] = texels
+        return self._pictures[path]
+
+    def _file(self, name: str, what: str) -> Path:
         path = self._inside(name, what)
         if not path.is_file():
             msg = f"{what} refers to {name!r}, which does not exist"
             raise PlantFileError(msg)
-        if path.stat().st_size > MAX_FILE_BYTES:
-            msg = f"{what} refers to {name!r}, which is larger than {MAX_FILE_BYTES} bytes"
-            raise PlantFileError(msg)
-        return path.read_bytes()
+        return path
 
     def _inside(self, name: str, what: str) -> Path:
         parts = name.replace("\\", "/").split("/")
