@@ -1,5 +1,5 @@
 """
-The command line: ``treelod compare``, ``demo``, ``grow``, ``bench``.
+The command line: ``treelod compare``, ``demo``, ``grow``, ``validate``, ``bench``.
 
 Progress and errors go to the error stream, results to the output stream. Exit codes: 0 done,
 1 failed, 2 wrong usage.
@@ -9,15 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import logging
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.logging import RichHandler
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -34,11 +30,10 @@ from treelod.files import atomic_write
 from treelod.plants import PRESETS, grow_plant, load_plant
 from treelod.provenance import file_sha256
 from treelod.techniques import REGISTRY, FullMesh
+from treelod.terminal import Stages, reported
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from rich.progress import TaskID
+    from collections.abc import Callable
 
     from treelod.bench import Row
     from treelod.plants import Plant
@@ -194,7 +189,7 @@ def compare(
     elevation_values = _numbers("--elevations", elevations)
     distance_values = _numbers("--distances", distances)
     frame_size = _frame_size(size)
-    with _reported(verbose=verbose), _Stages() as stages:
+    with reported(verbose=verbose), Stages() as stages:
         measure = _measurement(output)
         subject, source = _subject(
             stages, plant, foliage, unit, up, seed=seed, leaf_count=leaf_count
@@ -256,7 +251,7 @@ def demo(
             "size": (512, 384),
         }
         leaf_count, reference_samples = None, 64
-    with _reported(verbose=verbose), _Stages() as stages:
+    with reported(verbose=verbose), Stages() as stages:
         measure = _measurement(output)
         subject, source = _subject(stages, DEMO_PRESET, leaf_count=leaf_count)
         comparison, page = measure(
@@ -289,7 +284,7 @@ def grow(
     if preset not in PRESETS:
         msg = f"there is no preset {preset!r}; there are {', '.join(PRESETS)}"
         raise typer.BadParameter(msg, param_hint="PRESET")
-    with _reported(verbose=verbose), _Stages() as stages:
+    with reported(verbose=verbose), Stages() as stages:
         subject, _ = _subject(stages, preset, seed=seed, leaf_count=leaf_count)
         data = plant_glb(subject)
         atomic_write(output, data)
@@ -328,7 +323,7 @@ def bench(
     if group not in GROUPS:
         msg = f"there is no group {group!r}; there are {', '.join(GROUPS)}"
         raise typer.BadParameter(msg, param_hint="GROUP")
-    with _reported(verbose=verbose), _Stages() as stages:
+    with reported(verbose=verbose), Stages() as stages:
         rows = []
         stages(f"bench {group}", 0, 1)
         for row in GROUPS[group](repeats=repeats, small=small):
@@ -343,79 +338,56 @@ def bench(
     _show_rows(rows)
 
 
-class _Stages:
+@app.command()
+def validate(
+    *,
+    plant: Annotated[
+        str,
+        typer.Argument(
+            metavar="PLANT",
+            help=f"A GLB, glTF, OBJ or PLY file, or a plant to grow: {', '.join(PRESETS)}.",
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for the report; made if missing.")
+    ],
+    full: Annotated[
+        bool, typer.Option("--full", help="Every slice at full size: minutes, not seconds.")
+    ] = False,
+    verbose: Verbose = False,
+) -> None:
     """
-    Shows how far each stage of a long run is.
+    Check pictures and bakes of a plant against mitsuba, embree and trimesh.
 
-    Bars in a terminal; elsewhere one line a stage, when it is done. Called as `compare_techniques`
-    calls its `progress`.
+    The report is OUTPUT/validation.html; exit code 1 if a check fails.
+    Needs pip install 'treelod[validate]'.
     """
+    with reported(verbose=verbose), Stages() as stages:
+        from treelod import references
+        from treelod.report import check_folder
+        from treelod.report.validation import write_validation
 
-    def __init__(self) -> None:
-        self._console = Console(stderr=True)
-        self._bars = (
-            Progress(
-                TextColumn("{task.description:<18}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeElapsedColumn(),
-                console=self._console,
-            )
-            if self._console.is_terminal
-            else None
-        )
-        self._tasks: dict[str, TaskID] = {}
-        self._spent: dict[str, float] = {}
-        self._last = time.monotonic()
-
-    def __enter__(self) -> _Stages:
-        if self._bars is not None:
-            self._bars.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bars is not None:
-            self._bars.stop()
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        if self._bars is not None:
-            if stage not in self._tasks:
-                self._tasks[stage] = self._bars.add_task(stage, total=total)
-            self._bars.update(self._tasks[stage], completed=done, total=total)
-            return
-        # stages take turns: what has passed since any of them moved belongs to the one that moves
-        now = time.monotonic()
-        if done > 0:
-            self._spent[stage] = self._spent.get(stage, 0.0) + now - self._last
-        self._last = now
-        if done == total:
-            self._console.print(f"{stage}: {total} in {self._spent[stage]:.1f} s", highlight=False)
-
-
-@contextlib.contextmanager
-def _reported(*, verbose: bool) -> Iterator[None]:
-    """Turn what a user can cause into one line and exit code 1; a traceback with ``-v``."""
-    console = Console(stderr=True)
-    if verbose:
-        logger = logging.getLogger("treelod")
-        logger.setLevel(logging.DEBUG)
-        if not logger.handlers:
-            logger.addHandler(RichHandler(console=console, show_path=False))
-    try:
-        yield
-    except (treelod.TreelodError, OSError, ValueError, TypeError, MemoryError) as failure:
-        if verbose:
-            raise
-        line = str(failure) or type(failure).__name__
-        if isinstance(failure, OSError) and failure.filename is not None:
-            line = f"{failure.filename}: {failure.strerror}"
-        # names of files may hold what rich takes for markup
-        console.print(Text.assemble(("error: ", "bold red"), line), soft_wrap=True)
-        raise typer.Exit(1) from None
+        check_folder(output)
+        references.require()
+        subject, source = _subject(stages, plant)
+        found = references.validate(subject, full=full, source=source, progress=stages)
+        page = write_validation(found, output)
+    for section in found.sections:
+        for check in section.checks:
+            if not check.passed:
+                typer.echo(
+                    f"failed: {section.title}: {check.name}: "
+                    f"{check.value:.6g}, not {check.relation} {check.limit:g}"
+                )
+    count = sum(len(section.checks) for section in found.sections)
+    typer.echo(f"{found.plant}: {count} checks {'passed' if found.passed else 'made'}")
+    typer.echo(f"report: {page}")
+    if not found.passed:
+        raise typer.Exit(1)
 
 
 def _subject(
-    stages: _Stages,
+    stages: Stages,
     name: str,
     foliage: list[str] | None = None,
     unit: float | None = None,
@@ -469,7 +441,7 @@ def _measurement(folder: Path) -> Callable[..., tuple[Comparison, Path]]:
 
     check_folder(folder)
 
-    def measure(*arguments: Any, progress: _Stages, **settings: Any) -> tuple[Comparison, Path]:
+    def measure(*arguments: Any, progress: Stages, **settings: Any) -> tuple[Comparison, Path]:
         comparison = compare_techniques(*arguments, progress=progress, **settings)
         progress("writing the report", 0, 1)
         page = write_report(comparison, folder)

@@ -1,0 +1,343 @@
+"""How much of each pixel and texel is covered: views and slices against mitsuba."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from treelod import _core
+from treelod.references import mitsuba
+from treelod.references.checks import Check, Panel, Section
+from treelod.references.slices import Crown, stored_alpha
+from treelod.references.soup import plant_soup
+from treelod.references.views import camera_settings, check_cameras
+from treelod.render import render
+from treelod.techniques import FullMesh, Slicings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from treelod.plants import Plant
+
+__all__ = [
+    "SliceSettings",
+    "largest_z",
+    "slices_section",
+    "view_section",
+]
+
+MAX_BIAS = 1e-3
+"""Largest difference of mean alpha: a quarter of a step of 8 bits."""
+
+MANY_SAMPLES = 256
+"""Ours, where a picture is compared with the truth and not with another 16-sample picture."""
+
+BAKE_SAMPLES = 16
+
+MAX_Z = 6.0
+"""
+Largest difference of a block of texels, in standard deviations. Of a million blocks of pure noise
+one in 500 runs has one beyond.
+"""
+
+BLOCK = 8
+"""Side of a block in texels: a leaf is some texels, so blocks find one that is missing."""
+
+
+class SliceSettings(NamedTuple):
+    """
+    How much of the slices is checked.
+
+    Attributes
+    ----------
+    side : int
+        Texels of a slice along each axis.
+    precise_count : int
+        Slices of the first slicing that are compared with many samples.
+    precise_spp : int
+        Of mitsuba for those.
+    slicing_count : int
+        Slicings of which all other slices are tested.
+    spp : int
+        Of mitsuba for those.
+    """
+
+    side: int
+    precise_count: int
+    precise_spp: int
+    slicing_count: int
+    spp: int
+
+
+SLICING_COUNT, SLICE_COUNT = 6, 5
+"""The technique's defaults."""
+
+TOGETHER_SIDE = 256
+"""
+The technique's default, at any extent: it needs no reference. Textures are blended as if what they
+cover inside a texel were independent, which is the less true the coarser they are.
+"""
+
+
+def view_section(
+    plant: Plant, size: tuple[int, int], spp: int, progress: Callable[[int, int], None]
+) -> Section:
+    """
+    Check the coverage of the whole plant in a perspective view.
+
+    Parameters
+    ----------
+    plant : Plant
+        Any; masks and wood included.
+    size : tuple of 2 ints
+        Pixels.
+    spp : int
+        Samples a pixel of mitsuba.
+    progress : callable
+        Called with views done and all.
+
+    Returns
+    -------
+    Section
+    """
+    progress(0, 1)
+    camera = check_cameras(plant, size)["perspective"]
+    picture = {
+        "soup": 0,
+        "view": camera_settings(camera, plant.origin),
+        "quantity": "alpha",
+        "spp": spp,
+        "seed": 1,
+        "sampler": "multijitter",
+    }
+    (theirs,), _ = mitsuba.draw([plant_soup(plant)], [picture])
+    frame = render(FullMesh.build(plant), camera, samples=MANY_SAMPLES, outputs=("color",))
+    assert frame.color is not None
+    ours = frame.color[..., 3]
+    progress(1, 1)
+    return Section(
+        title="Coverage of a view",
+        what=f"The full mesh, {size[0]} x {size[1]} pixels, {MANY_SAMPLES} samples, against "
+        f"mitsuba at {spp}.",
+        checks=[_bias("alpha of the view, bias", ours, theirs)],
+        panels=[_panel("alpha of the view", ours, theirs)],
+    )
+
+
+def slices_section(
+    plant: Plant, settings: SliceSettings, progress: Callable[[int, int], None]
+) -> Section:
+    """
+    Check the textures of slices, and that a slicing's slices make up its crown.
+
+    Parameters
+    ----------
+    plant : Plant
+        With leaves.
+    settings : SliceSettings
+        How much is checked.
+    progress : callable
+        Called with slicings done and all.
+
+    Returns
+    -------
+    Section
+    """
+    side = settings.side
+    lod = _build(plant, side, SLICE_COUNT, BAKE_SAMPLES)
+    directions = np.array(_core.circle_directions(SLICING_COUNT))
+    checks: list[Check] = []
+    panels: list[Panel] = []
+    worst_z, tested = 0.0, 0
+    worst_corner = 0.0
+    for slicing in range(settings.slicing_count):
+        progress(slicing, settings.slicing_count)
+        crown = Crown.of(plant, directions[slicing], SLICE_COUNT)
+        ours = stored_alpha(lod, slicing, SLICE_COUNT, side)
+        worst_corner = max(worst_corner, _corner_error(plant, lod, slicing, crown))
+        # the middle first: it holds most leaves
+        order = sorted(range(SLICE_COUNT), key=lambda number: abs(number - SLICE_COUNT // 2))
+        precise = order[: settings.precise_count] if slicing == 0 else []
+        pictures = []
+        for number in order:
+            picture = {"soup": number, "view": crown.view(side), "quantity": "alpha", "seed": 1}
+            if number in precise:
+                many = {"spp": settings.precise_spp, "sampler": "multijitter"}
+                few = {"spp": BAKE_SAMPLES, "sampler": "independent", "seed": 2}
+                pictures += [{**picture, **many}, {**picture, **few}]
+            else:
+                pictures.append({**picture, "spp": settings.spp, "sampler": "independent"})
+        drawn = iter(mitsuba.draw(crown.slices, pictures)[0])
+        for number in order:
+            theirs = next(drawn)
+            if number in precise:
+                found = _precise(number, ours[number], theirs, next(drawn))
+                checks += found
+                panels.append(_panel(f"alpha of slice {number}", ours[number], theirs))
+            else:
+                worst_z = max(worst_z, largest_z(ours[number], theirs, settings.spp))
+                tested += 1
+    progress(settings.slicing_count, settings.slicing_count)
+    if tested:
+        checks.append(
+            Check(
+                name="other slices: largest deviation of a block, in standard deviations",
+                value=worst_z,
+                relation="<=",
+                limit=MAX_Z,
+                note=f"{tested} slices",
+            )
+        )
+    checks.append(
+        Check(
+            name="corners of slices",
+            value=worst_corner,
+            relation="<=",
+            limit=1e-6,
+            note="of the crown's radius",
+        )
+    )
+    checks += together(plant)
+    return Section(
+        title="Coverage of slices",
+        what=f"Textures of {side} x {side} texels, {BAKE_SAMPLES} samples a texel, as stored, "
+        f"against mitsuba's pictures of exactly the leaves, cut or whole, that belong to each: "
+        f"slices of the first slicing at {settings.precise_spp} samples, others at {settings.spp}.",
+        checks=checks,
+        panels=panels,
+    )
+
+
+def together(plant: Plant, side: int = TOGETHER_SIDE) -> list[Check]:
+    """
+    Check that the slices of a slicing make up the crown, neither more nor less.
+
+    Parameters
+    ----------
+    plant : Plant
+        With leaves.
+    side : int, default 256
+        Texels of a slice along each axis.
+
+    Returns
+    -------
+    list of Check
+        At one sample, where each texel is covered or not; and the mean at 16.
+    """
+    checks = []
+    for samples in (1, BAKE_SAMPLES):
+        through = np.ones((side, side))
+        lod = _build(plant, side, SLICE_COUNT, samples, 1)
+        for alpha in stored_alpha(lod, 0, SLICE_COUNT, side):
+            through *= 1.0 - alpha
+        (whole,) = stored_alpha(_build(plant, side, 1, samples, 1), 0, 1, side)
+        if samples == 1:
+            checks.append(
+                Check(
+                    name="slices together: texels unlike the whole crown's at 1 sample",
+                    value=float((1.0 - through != whole).sum()),
+                    relation="<=",
+                    limit=0.0,
+                    note=f"{side * side} texels",
+                )
+            )
+        else:
+            checks.append(_bias("slices together: bias at 16 samples", 1.0 - through, whole))
+    return checks
+
+
+def largest_z(ours: NDArray[Any], theirs: NDArray[Any], spp: int) -> float:
+    """
+    Return the largest deviation of a block of texels in standard deviations.
+
+    Parameters
+    ----------
+    ours, theirs : ndarray of shape (H, W)
+        Alpha of a 16-sample bake, and of `spp` random samples a texel.
+    spp : int
+        Samples.
+
+    Returns
+    -------
+    float
+        Of blocks of 8 x 8 texels. The variance is that of random samples on both sides, with the
+        share covered estimated as (covered + 1) / (samples + 2), so that texels that seem full or
+        empty have one too.
+    """
+    share = (theirs.astype(np.float64) * spp + 1.0) / (spp + 2.0)
+    variance = share * (1.0 - share) * (1.0 / spp + 1.0 / BAKE_SAMPLES)
+    difference = ours.astype(np.float64) - theirs
+    rows, columns = (np.arange(0, extent, BLOCK) for extent in ours.shape)
+
+    def blocks(array: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.add.reduceat(np.add.reduceat(array, rows, axis=0), columns, axis=1))
+
+    return float((np.abs(blocks(difference)) / np.sqrt(blocks(variance))).max())
+
+
+def rmse(a: NDArray[Any], b: NDArray[Any]) -> float:
+    """Return the root mean square difference of two pictures."""
+    return math.sqrt(float(((a.astype(np.float64) - b) ** 2).mean()))
+
+
+def _build(
+    plant: Plant, side: int, slice_count: int, samples: int, slicing_count: int = SLICING_COUNT
+) -> Slicings:
+    return Slicings.build(
+        plant,
+        slicing_count=slicing_count,
+        slice_count=slice_count,
+        resolution=side,
+        samples=samples,
+        wood=False,
+    )
+
+
+def _precise(
+    number: int, ours: NDArray[np.float64], theirs: NDArray[Any], few: NDArray[Any]
+) -> list[Check]:
+    peer = rmse(few, theirs)
+    return [
+        _bias(f"alpha of slice {number}, bias", ours, theirs),
+        Check(
+            name=f"alpha of slice {number}, RMSE over that of mitsuba at 16 samples",
+            value=rmse(ours, theirs) / peer if peer else 0.0,
+            relation="<=",
+            limit=1.0,
+            note=f"{rmse(ours, theirs):.4f} against {peer:.4f}",
+        ),
+    ]
+
+
+def _corner_error(plant: Plant, lod: Slicings, slicing: int, crown: Crown) -> float:
+    """Largest distance of a slice's corner from the twin's rectangle, across the direction."""
+    across = crown.half[0] * crown.right
+    along = crown.half[1] * crown.up
+    middle = crown.center + plant.origin
+    expected = middle + np.array([-across - along, across - along, across + along, along - across])
+    axes = np.stack([crown.right, crown.up])
+    worst = 0.0
+    for texture in lod.textures:
+        if texture.name.startswith(f"slicing {slicing},"):
+            assert texture.corners is not None
+            offsets = (texture.corners - expected) @ axes.T
+            worst = max(worst, float(np.abs(offsets).max()) / crown.reach)
+    return worst
+
+
+def _bias(name: str, ours: NDArray[Any], theirs: NDArray[Any]) -> Check:
+    bias = float(ours.astype(np.float64).mean() - theirs.astype(np.float64).mean())
+    return Check(name=name, value=abs(bias), relation="<=", limit=MAX_BIAS, note=f"{bias:+.5f}")
+
+
+def _panel(title: str, ours: NDArray[Any], theirs: NDArray[Any]) -> Panel:
+    return Panel(
+        title=title,
+        ours=ours,
+        reference=theirs,
+        difference=np.abs(ours.astype(np.float64) - theirs),
+    )

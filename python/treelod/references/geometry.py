@@ -1,0 +1,144 @@
+"""Leaves measured by trimesh: areas, centres, normals, connected components and bounds."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING
+
+import numpy as np
+import trimesh
+
+from treelod.plants import Plant
+from treelod.references.checks import Check, Section
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["geometry_section"]
+
+ROUNDING = 1e-6
+"""
+Largest difference of what is stored in f32, as a share of the largest area, the plant's size or 1:
+rounding makes 6e-8, and sums run in another order.
+"""
+
+
+def geometry_section(plant: Plant) -> Section:
+    """
+    Compare a plant's measures with trimesh's.
+
+    Parameters
+    ----------
+    plant : Plant
+        Any.
+
+    Returns
+    -------
+    Section
+    """
+    checks = [_bounds(plant)]
+    if plant.foliage.leaf_count:
+        checks += _leaves(plant)
+        checks.append(_components(plant))
+    return Section(
+        title="Geometry",
+        what="Leaves, components and bounds as trimesh measures the same triangles, in f64.",
+        checks=checks,
+    )
+
+
+def _leaves(plant: Plant) -> list[Check]:
+    foliage = plant.foliage
+    corners = foliage.positions[foliage.triangles].astype(np.float64)
+    starts = foliage.leaf_offsets[:-1]
+    vectors = trimesh.triangles.cross(corners) / 2.0
+    areas: NDArray[np.float64] = trimesh.triangles.area(corners)  # type: ignore[no-untyped-call]
+    leaf_areas = np.add.reduceat(areas, starts)
+    largest_area = leaf_areas.max()
+    solid = leaf_areas > 0.0
+    centroids = corners.mean(axis=1) * areas[:, np.newaxis]
+    centers = np.add.reduceat(centroids, starts)[solid] / leaf_areas[solid, np.newaxis]
+    errors = {
+        "leaf areas": np.abs(leaf_areas - foliage.areas) / (largest_area or 1.0),
+        "leaf centres": np.linalg.norm(centers - foliage.centers[solid], axis=1)
+        / (2.0 * plant.sphere[1]),
+        "leaf normals": _normal_errors(plant, vectors, areas)[solid],
+    }
+    return [
+        Check(name=name, value=float(error.max(initial=0.0)), relation="<=", limit=ROUNDING)
+        for name, error in errors.items()
+    ]
+
+
+def _normal_errors(
+    plant: Plant, vectors: NDArray[np.float64], areas: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Chord between unit normals, times how well the sum of a leaf's triangles defines one."""
+    foliage = plant.foliage
+    errors = np.zeros(foliage.leaf_count)
+    offsets = foliage.leaf_offsets.astype(np.int64)
+    for leaf, (start, end) in enumerate(itertools.pairwise(offsets)):
+        own, sizes = vectors[start:end], areas[start:end]
+        largest = int(sizes.argmax())
+        signs = np.where(own @ own[largest] < 0.0, -1.0, 1.0)
+        total = signs @ own
+        length = np.linalg.norm(total)
+        if length == 0.0:
+            continue
+        chords = [np.linalg.norm(foliage.normals[leaf] - side * total / length) for side in (1, -1)]
+        # of triangles equally large to rounding either may give the sign
+        tied = (sizes >= sizes[largest] * (1.0 - 1e-9)).sum() > 1
+        errors[leaf] = (min(chords) if tied else chords[0]) * length / sizes.sum()
+    return errors
+
+
+def _components(plant: Plant) -> Check:
+    """Leaves of other sizes, in triangles, if leaves are the connected pieces of each material."""
+    mesh = plant.foliage.mesh
+    split = Plant.from_mesh(
+        {
+            "positions": mesh.positions,
+            "triangles": mesh.triangles,
+            "material_ids": mesh.material_ids,
+        },
+        foliage_mask=np.ones(len(mesh.triangles), np.bool_),
+        materials=plant.materials,
+    )
+    ours = np.diff(split.foliage.leaf_offsets.astype(np.int64))
+    theirs = []
+    for material in np.unique(mesh.material_ids):
+        own = mesh.triangles[mesh.material_ids == material]
+        # positions alone: a crease in normals or a seam in texture does not part a leaf
+        places = mesh.positions[own].reshape(-1, 3)
+        _, corners = np.unique(places, axis=0, return_inverse=True)
+        triangles = corners.reshape(-1, 3)
+        edges = np.concatenate([triangles[:, :2], triangles[:, 1:]])
+        labels = trimesh.graph.connected_component_labels(  # type: ignore[no-untyped-call]
+            edges, node_count=int(corners.max()) + 1
+        )
+        theirs.append(np.unique(labels[triangles[:, 0]], return_counts=True)[1])
+    sizes = np.concatenate(theirs)
+    longest = max(ours.max(), sizes.max()) + 1
+    counts = [np.bincount(array, minlength=longest) for array in (ours, sizes)]
+    return Check(
+        name="connected components of other sizes",
+        value=float(np.abs(counts[0] - counts[1]).sum()),
+        relation="<=",
+        limit=0.0,
+        note=f"{len(sizes)} components",
+    )
+
+
+def _bounds(plant: Plant) -> Check:
+    positions = [
+        mesh.positions[mesh.triangles].reshape(-1, 3) for mesh in (plant.wood, plant.foliage.mesh)
+    ]
+    corners = np.concatenate(positions).astype(np.float64)
+    whole = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+    difference = np.abs(whole.bounds + plant.origin - plant.bounds).max()
+    return Check(
+        name="bounds",
+        value=float(difference / (2.0 * plant.sphere[1])),
+        relation="<=",
+        limit=ROUNDING,
+    )

@@ -1,0 +1,244 @@
+"""Plants against mitsuba, embree and trimesh; and what these must find if something is wrong."""
+
+import dataclasses
+import json
+import os
+import warnings
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import treelod as tl
+from made_plants import crown, random_crown
+from treelod import references
+from treelod.cli import app
+from treelod.references import color, coverage, geometry, slices, visibility
+from treelod.references.coverage import SliceSettings
+from treelod.references.validation import QUICK, Extent
+
+SMALL = Extent(
+    rays=(256, 192),
+    view=(64, 64),
+    view_spp=256,
+    slices=SliceSettings(side=64, precise_count=1, precise_spp=256, slicing_count=1, spp=64),
+)
+"""One view and one slice a plant with many samples; the slicing's other slices with 64."""
+
+PLANTS = [
+    "chestnut",
+    "broadleaf",
+    "ez_oak_large/ez_oak_large.glb",
+    "ez_aspen_large/ez_aspen_large.glb",
+    "ez_bush_1/ez_bush_1.glb",
+    "quaternius_common/CommonTree_1.gltf",
+    "quaternius_common/CommonTree_3.gltf",
+    "quaternius_common/Pine_4.gltf",
+    "quaternius_common/Bush_Common_Flowers.gltf",
+    "quaternius_common/Grass_Common_Tall.gltf",
+    "polyhaven_fern/fern_02.glb",
+    "khronos_vase_flowers/GlassVaseFlowers.gltf",
+]
+
+SMALLEST = PLANTS[-5:-2]
+"""What CI takes where all would take minutes."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _kept(request):
+    """Keep what references draw beside pytest's own cache: the next run takes it from there."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TREELOD_CACHE", str(request.config.cache.mkdir("treelod")))
+        yield
+
+
+@pytest.fixture
+def load(request):
+    def load(name):
+        if name in tl.plants.PRESETS:
+            return tl.grow_plant(name)
+        with warnings.catch_warnings():
+            # the vase's transmission is ignored
+            warnings.simplefilter("ignore", UserWarning)
+            return tl.load_plant(request.getfixturevalue("models") / name)
+
+    return load
+
+
+def failures(sections):
+    return [
+        f"{check.name}: {check.value:.6g}, not {check.relation} {check.limit:g} ({check.note})"
+        for section in sections
+        for check in section.checks
+        if not check.passed
+    ]
+
+
+def quiet(*_):
+    """No progress."""
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("name", PLANTS)
+def test_a_plant_is_as_the_references_draw_it(load, name):
+    found = references.validate(load(name), extent=SMALL)
+    assert failures(found.sections) == []
+    assert found.left_out == []
+    assert len([check for section in found.sections for check in section.checks]) == 18
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("name", SMALLEST if "CI" in os.environ else PLANTS)
+def test_a_plant_at_1024_pixels_is_as_rays_see_it(load, name):
+    section = visibility.visibility_section(load(name), QUICK.rays, quiet)
+    assert failures([section]) == []
+    assert len(section.checks) == 8, "shares of rays, too"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("name", SMALLEST[-1:] if "CI" in os.environ else PLANTS)
+def test_every_slice_is_as_mitsuba_draws_it(load, name):
+    settings = SliceSettings(side=128, precise_count=5, precise_spp=256, slicing_count=6, spp=64)
+    assert failures([coverage.slices_section(load(name), settings, quiet)]) == []
+
+
+# What must be found
+
+
+@pytest.fixture(scope="module")
+def leaves():
+    """A crown whose leaf 40 is in its middle and in the open."""
+    return random_crown(120, seed=4)
+
+
+def with_leaf_moved(soup, leaf, by):
+    corners = soup.corners.copy()
+    corners[2 * leaf : 2 * leaf + 2] += by
+    return dataclasses.replace(soup, corners=corners)
+
+
+def nearest_leaf(plant):
+    """The leaf nearest to the cameras, so that none hides it."""
+    camera = visibility.check_cameras(plant, (64, 48))["perspective"]
+    return int(np.linalg.norm(plant.foliage.centers - camera.eye, axis=1).argmin())
+
+
+@pytest.mark.parametrize("by", [0.0, 0.01, 9.0], ids=["not", "a hundredth", "away"])
+def test_rays_find_a_leaf_that_moved(leaves, monkeypatch, by):
+    soup = with_leaf_moved(visibility.plant_soup(leaves), nearest_leaf(leaves), by)
+    monkeypatch.setattr(visibility, "plant_soup", lambda _: soup)
+    section = visibility.visibility_section(leaves, (256, 192), quiet)
+    assert bool(failures([section])) == (by != 0.0)
+
+
+@pytest.mark.parametrize("by", [0.0, 0.1, 9.0], ids=["not", "a tenth", "away"])
+def test_mitsuba_finds_a_leaf_that_moved(leaves, monkeypatch, by):
+    # cameras and rectangles stay: they come from the plant, or from leaves further out
+    leaf = int(np.linalg.norm(leaves.foliage.centers, axis=1).argmin())
+    real = slices.foliage_soup
+
+    def moved(plant):
+        return with_leaf_moved(real(plant), leaf, by)
+
+    monkeypatch.setattr(slices, "foliage_soup", moved)
+    if by == 9.0:
+        # too far for the rectangle: out of sight along the view instead
+        monkeypatch.setattr(slices, "foliage_soup", lambda plant: without_leaf(real(plant), leaf))
+    section = coverage.slices_section(leaves, SMALL.slices, quiet)
+    assert bool(failures([section])) == (by != 0.0)
+
+
+def without_leaf(soup, leaf):
+    """The leaf as a point at its first corner."""
+    corners = soup.corners.copy()
+    corners[2 * leaf : 2 * leaf + 2] = corners[2 * leaf, 0]
+    return dataclasses.replace(soup, corners=corners)
+
+
+def test_colours_of_another_light_are_found(leaves, monkeypatch):
+    other = leaves.lit(tl.Lighting(sun_direction=(-1, 0.5, 0.2)))
+    assert not failures([color.color_section(leaves, (64, 64), 256, quiet)])
+    monkeypatch.setattr(color, "plant_soup", lambda _: slices_soup(other))
+    assert failures([color.color_section(leaves, (64, 64), 256, quiet)])
+
+
+def slices_soup(plant):
+    return visibility.plant_soup(plant)
+
+
+def test_light_that_shines_through_is_not_lamberts(monkeypatch):
+    assert not failures([color.lambert_section(quiet)])
+    opaque = color.lambert_plant()
+    lighting = dataclasses.replace(opaque.lighting, translucency=0.25)
+    monkeypatch.setattr(color, "lambert_plant", lambda: opaque.lit(lighting))
+    assert failures([color.lambert_section(quiet)])
+
+
+@pytest.mark.parametrize(
+    ("measure", "name"),
+    [("areas", "leaf areas"), ("centers", "leaf centres"), ("normals", "leaf normals")],
+)
+def test_a_wrong_measure_of_one_leaf_is_found(measure, name):
+    plant = random_crown(30)
+    assert not failures([geometry.geometry_section(plant)])
+    values = getattr(plant.foliage, measure).copy()
+    values[17] *= 1.001
+    plant.__dict__["foliage"] = dataclasses.replace(plant.foliage, **{measure: values})
+    (failure,) = failures([geometry.geometry_section(plant)])
+    assert failure.startswith(name)
+
+
+def test_leaves_that_touch_are_one_component():
+    # two squares with an edge in common, and one apart
+    plant = crown(
+        [
+            ((0, 0, 0), (1, 0, 0), (0, 1, 0)),
+            ((2, 0, 0), (1, 0, 0), (0, 1, 0)),
+            ((9, 0, 0), (1, 0, 0), (0, 1, 0)),
+        ]
+    )
+    check = geometry._components(plant)
+    assert (check.value, check.note) == (0.0, "2 components")
+
+
+def test_blocks_find_a_leaf_of_two_texels_and_no_noise():
+    rng = np.random.default_rng(11)
+    share = rng.uniform(0, 1, (64, 64)) * (rng.uniform(size=(64, 64)) < 0.5)
+    ours, theirs = (rng.binomial(n, share) / n for n in (16, 64))
+    assert coverage.largest_z(ours, theirs, 64) < coverage.MAX_Z
+    bare = np.zeros((64, 64))
+    leaf = bare.copy()
+    leaf[20:22, 30] = 1.0
+    assert coverage.largest_z(bare, bare, 64) == 0.0
+    assert coverage.largest_z(leaf, bare, 64) > coverage.MAX_Z
+
+
+# The command
+
+
+def test_the_command_writes_figures_and_pictures(tmp_path, monkeypatch):
+    file = tmp_path / "crown.glb"
+    file.write_bytes(tl.export.plant_glb(random_crown(60)))
+    monkeypatch.setattr(references.validation, "QUICK", SMALL)
+    done = CliRunner().invoke(app, ["validate", str(file), "-o", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    figures = json.loads((tmp_path / "out" / "validation.json").read_text())
+    assert figures["passed"]
+    assert figures["source"]["file"] == "crown.glb"
+    page = (tmp_path / "out" / "validation.html").read_text()
+    for check in figures["checks"]:
+        assert check["name"].replace("'", "&#39;") in page
+    assert page.count("<img") == 3 * len(list((tmp_path / "out" / "pictures").iterdir()))
+
+
+def test_the_command_fails_if_a_check_does(tmp_path, monkeypatch):
+    file = tmp_path / "crown.glb"
+    file.write_bytes(tl.export.plant_glb(random_crown(60)))
+    monkeypatch.setattr(references.validation, "QUICK", SMALL)
+    monkeypatch.setattr(color, "MAX_RMSE", 1e-9)
+    done = CliRunner().invoke(app, ["validate", str(file), "-o", str(tmp_path / "out")])
+    assert done.exit_code == 1
+    assert "failed: Lit colour: lit colour, RMSE" in done.stdout
+    assert "A check failed" in (tmp_path / "out" / "validation.html").read_text()
