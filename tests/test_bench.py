@@ -88,6 +88,21 @@ def test_raster_rows_compare_the_same_picture(tmp_path):
         assert row["peer_error"] == pytest.approx(row["ours_error"], rel=SAME_PICTURE)
 
 
+@pytest.mark.timeout(300)
+def test_bake_rows_compare_the_same_textures(tmp_path):
+    file = tmp_path / "rows.jsonl"
+    command = ["bench", "bake", "--small", "--repeats", "1", "--output", str(file)]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.stderr
+    rows = [json.loads(line) for line in file.read_text().splitlines()]
+    assert [list(row) for row in rows] == [KEYS] * 3
+    assert [row["aim"] for row in rows] == [50.0, 10.0, None]
+    for row in rows:
+        # 16 samples: ours and embree's are spread evenly, mitsuba's are random
+        assert 0.0 < row["ours_error"] < row["peer_error"] * 1.2
+        assert row["peer_error"] < 0.05
+
+
 def test_unknown_groups_are_refused():
     done = CliRunner().invoke(app, ["bench", "nothing"])
     assert done.exit_code == 2

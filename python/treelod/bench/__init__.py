@@ -23,6 +23,12 @@ def _raster(*, repeats: int, small: bool) -> Iterator[Row]:
     return rows(repeats=repeats, small=small)
 
 
-GROUPS: dict[str, Callable[..., Iterator[Row]]] = {"raster": _raster}
+def _bake(*, repeats: int, small: bool) -> Iterator[Row]:
+    from treelod.bench.bake import rows
+
+    return rows(repeats=repeats, small=small)
+
+
+GROUPS: dict[str, Callable[..., Iterator[Row]]] = {"bake": _bake, "raster": _raster}
 """Groups by name. Called with `repeats` (rounds that are counted) and `small` (seconds instead of
 minutes, for tests); peers are imported only then."""
