@@ -60,6 +60,17 @@ impl From<LodError> for PyErr {
 /// The compiled part of treelod. Its face is the `treelod` package.
 #[pymodule]
 mod _core {
+    use numpy::{PyArray1, PyArrayMethods};
+    use pyo3::prelude::*;
+
+    /// Touches what is otherwise made by the first call that needs it: a fork while another thread
+    /// is making it would leave it half made in the child, which then waits for ever.
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        PyArray1::<f32>::zeros(module.py(), 0, false).try_readonly()?;
+        Ok(())
+    }
+
     #[pymodule_export]
     use super::grow::{grow, preset_names};
     #[pymodule_export]
