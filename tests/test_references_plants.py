@@ -20,8 +20,8 @@ from treelod.references.validation import QUICK, Extent
 SMALL = Extent(
     rays=(256, 192),
     view=(64, 64),
-    view_spp=256,
-    slices=SliceSettings(side=64, precise_count=1, precise_spp=256, slicing_count=1, spp=64),
+    view_spp=128,
+    slices=SliceSettings(side=64, precise_count=1, precise_spp=128, slicing_count=1, spp=64),
 )
 """One view and one slice a plant with many samples; the slicing's other slices with 64."""
 

@@ -136,6 +136,7 @@ def _through(
     alive = np.arange(len(origins))
     starts = origins.copy()
     last = np.full(len(origins), -1, np.int64)
+    strides = np.ones((len(origins), 1))
     for _ in range(_MAX_LAYERS):
         triangles, rays, places = mesh.ray.intersects_id(
             starts[alive], directions[alive], multiple_hits=False, return_locations=True
@@ -143,13 +144,14 @@ def _through(
         alive = alive[rays]
         if not len(alive):
             break
-        # the same triangle again: the ray has not yet left it
+        # the same triangle again: the ray grazes it and has not yet left it
         fresh = triangles != last[alive]
+        strides[alive] = np.where(fresh[:, np.newaxis], 1.0, 2.0 * strides[alive])
         hit = alive[fresh]
         layer = painter.paint(triangles[fresh], places[fresh], directions[hit])
         color[hit] += (1.0 - color[hit, 3:]) * layer
         last[alive] = triangles
-        starts[alive] = places + directions[alive] * step[alive]
+        starts[alive] = places + directions[alive] * step[alive] * strides[alive]
         alive = alive[color[alive, 3] < 1.0 - _CLEAR]
     return color
 

@@ -57,9 +57,9 @@ QUICK = Extent(
 
 FULL = Extent(
     rays=(1024, 768),
-    view=(128, 96),
+    view=(96, 72),
     view_spp=256,
-    slices=SliceSettings(side=256, precise_count=5, precise_spp=64, slicing_count=6, spp=16),
+    slices=SliceSettings(side=256, precise_count=5, precise_spp=64, slicing_count=6, spp=8),
 )
 """Every slice at the size it is drawn from; minutes a plant."""
 
