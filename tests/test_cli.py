@@ -128,6 +128,7 @@ def test_demo_small_by_default_into_demo(run, tmp_path, monkeypatch):
         (["compare", "chestnut", "-o", "out", "-t", "slicings:resolution=0"], 1, "resolution"),
         (["compare", "chestnut", "-o", "out", "--size", "big"], 2, "not WIDTHxHEIGHT"),
         (["compare", "chestnut", "-o", "out", "--size", "0x9"], 1, "size must be 1 to 16384"),
+        (["compare", "chestnut", "-o", "out", "--size", "16384x16384"], 1, "268435456 pixels"),
         (["compare", "chestnut", "-o", "out", "--distances", "a,b"], 2, "list of numbers"),
         (["compare", "chestnut", "-o", "out", "--distances", "-1"], 1, "distance must be"),
         (["compare", "chestnut", "-o", "out", "--azimuths", "0"], 2, "--azimuths"),

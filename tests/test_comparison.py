@@ -8,6 +8,7 @@ import pytest
 from treelod import Plant, comparison, metrics
 from treelod.cameras import Camera, default_cameras, orbit
 from treelod.comparison import compare_techniques, tinted
+from treelod.errors import LimitError
 from treelod.render import render
 from treelod.techniques import REGISTRY, FullMesh
 
@@ -277,3 +278,7 @@ def test_refuses_before_any_work(monkeypatch):
         compare_techniques(PLANT, {"slicings": {}, "sketches": {}}, CAMERAS[:1])
     with pytest.raises(TypeError, match="no_such"):
         compare_techniques(PLANT, {"slicings": {"no_such": 1}}, CAMERAS[:1])
+    huge = Camera.perspective((0, 0, 9), (0, 0, 0), size=(16384, 16384))
+    monkeypatch.setattr(comparison, "_build", unexpected)
+    with pytest.raises(LimitError, match="size needs 268435456 pixels"):
+        compare_techniques(PLANT, {"slicings": {}}, [CAMERAS[0], huge])

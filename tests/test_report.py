@@ -188,12 +188,19 @@ def test_refuses_a_file_as_folder_and_writes_nothing(tmp_path):
 
 
 def test_a_second_report_replaces_the_first(tmp_path):
-    write_report(comparison(picture_size=(30, 20)), tmp_path)
+    write_report(comparison(("full_mesh", "slicings", "other"), picture_size=(30, 20)), tmp_path)
     (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "pictures" / "00_mine.png").write_text("mine")
+    pictures = {path.name for path in (tmp_path / "pictures").iterdir()}
+    assert any("other" in name for name in pictures)
     made = comparison(picture_size=(30, 20))
     write_report(replace(made, plant=made.plant | {"name": "elm"}), tmp_path)
     assert "elm: speed against error" in page_of(tmp_path / "report.html").words
     assert (tmp_path / "notes.txt").read_text() == "mine"
+    left = {path.name for path in (tmp_path / "pictures").iterdir()}
+    assert len(left) == 6 * 4 + 3, "three views of two techniques, the plant twice, and mine"
+    assert "00_mine.png" in left
+    assert not any("other" in name for name in left)
     assert not list(tmp_path.rglob("*.tmp"))
 
 

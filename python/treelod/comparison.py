@@ -22,7 +22,7 @@ from treelod.cameras import Camera, default_cameras, orbit
 from treelod.color import composite, linear_from_srgb, quantize, srgb_from_linear
 from treelod.plants import Plant
 from treelod.provenance import provenance
-from treelod.render import render, sample_count, thread_count, time_frames
+from treelod.render import check_size, render, sample_count, thread_count, time_frames
 from treelod.results import Bake, Comparison, Picture, Row, View
 from treelod.techniques import REGISTRY, FullMesh, Technique
 
@@ -122,6 +122,8 @@ def compare_techniques(
     sample_count(reference_samples)
     thread_count(threads)
     metrics.check_ppd(ppd)
+    for view in views:
+        check_size(view.camera.size)
     built = _build(plant, techniques, report, threads)
     full = built[FullMesh.name]
     keep = _kept_views(views)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from treelod import _core
+from treelod.errors import LimitError
 from treelod.scenes import Scene
 
 if TYPE_CHECKING:
@@ -30,6 +31,9 @@ EMPTY_ID = 0xFFFFFFFF
 
 OUTPUTS = ("color", "depth", "ids", "normal", "albedo", "color8")
 """Planes that `render` can make."""
+
+MAX_PIXEL_COUNT = 1 << 27
+"""Most pixels of a picture: 2 GiB of colour."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,6 +257,26 @@ def time_frames(
             if turn >= 0:
                 millis[turn] = stats["emit_millis"] + stats["draw_millis"]
     return {label: millis for label, (_, _, millis) in runs.items()}
+
+
+def check_size(size: tuple[int, int]) -> None:
+    """
+    Refuse pictures that the core would refuse, before anything is done for them.
+
+    Parameters
+    ----------
+    size : tuple of 2 ints
+        Width and height in pixels.
+
+    Raises
+    ------
+    LimitError
+        If there are more than 2**27 pixels.
+    """
+    pixel_count = size[0] * size[1]
+    if pixel_count > MAX_PIXEL_COUNT:
+        msg = f"size needs {pixel_count} pixels, the limit is {MAX_PIXEL_COUNT}"
+        raise LimitError(msg)
 
 
 def camera_facts(camera: Camera) -> _core._CameraFacts:

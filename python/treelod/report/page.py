@@ -55,6 +55,9 @@ _CAPTIONS = {
     ),
 }
 
+_PICTURE_NAME = re.compile(r"\d{2,}_.*_(near|far|worst)_(reference|image|difference|strip)\.png")
+"""What a report calls its pictures; nothing else in their folder is ever removed."""
+
 
 def write_report(comparison: Comparison, directory: str | os.PathLike[str]) -> Path:
     """
@@ -66,7 +69,7 @@ def write_report(comparison: Comparison, directory: str | os.PathLike[str]) -> P
         From `compare_techniques`.
     directory : path-like
         Folder for the files; made with its parents if it is missing. Files of an earlier report
-        are replaced, others left alone.
+        are replaced or removed, others left alone.
 
     Returns
     -------
@@ -108,6 +111,7 @@ def write_report(comparison: Comparison, directory: str | os.PathLike[str]) -> P
         figures.append({"title": title, "caption": caption, "uri": uri})
 
     strips = []
+    written = set()
     for index, picture in enumerate(_in_order(comparison)):
         # the number keeps apart labels that differ only in signs a file name cannot hold
         stem = f"{index:02d}_{_file_name(picture.row.label)}_{picture.why}"
@@ -116,16 +120,19 @@ def write_report(comparison: Comparison, directory: str | os.PathLike[str]) -> P
             "image": picture.image,
             "difference": images.magma(picture.difference),
         }
-        for part, pixels in parts.items():
+        for part, pixels in (parts | {"strip": images.strip(list(parts.values()))}).items():
+            written.add(f"{stem}_{part}.png")
             atomic_write(folder / "pictures" / f"{stem}_{part}.png", images.png(pixels))
-        row = images.png(images.strip(list(parts.values())))
-        atomic_write(folder / "pictures" / f"{stem}_strip.png", row)
         strips.append(_strip(picture, parts))
     for name, pixels in (
         ("plant", comparison.portrait),
         ("plant_split", comparison.split_portrait),
     ):
         atomic_write(folder / "pictures" / f"{name}.png", images.png(pixels))
+
+    for path in (folder / "pictures").iterdir():
+        if _PICTURE_NAME.fullmatch(path.name) and path.name not in written:
+            path.unlink()
 
     page = _template().render(**_context(comparison, table), figures=figures, strips=strips)
     path = folder / "report.html"
