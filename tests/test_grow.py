@@ -6,8 +6,24 @@ import pytest
 import treelod as tl
 from treelod.plants import PRESETS
 
-# leaves, triangles a leaf and wood triangles of the papers' plants
-FACTS = {"chestnut": (11_291, 10, 46_174), "broadleaf": (20_376, 2, 47_691)}
+# at seed 1: elements and triangles of the foliage, triangles of the wood, height in metres
+FACTS = {
+    "chestnut": (11_291, 112_910, 46_163, 15.8),
+    "broadleaf": (20_376, 40_752, 47_688, 12.2),
+    "grove": (5_782 + 1_349, 11_564 + 8_093, 2_054, 7.7),
+    "pine": (80_000, 80_000, 35_932, 6.9),
+    "palm": (2_520, 20_160, 3_012, 8.3),
+    "sunflower": (581, 1_492, 928, 1.8),
+    "daisy": (1_438, 4_772, 3_480, 0.29),
+    "grass": (450, 4_050, 0, 0.46),
+}
+TREES = ("chestnut", "broadleaf", "grove", "pine", "palm")
+
+MATERIALS = {
+    **{key: ["wood", "leaves"] for key in TREES},
+    **{key: ["stems", "leaves", "flowers"] for key in ("sunflower", "daisy")},
+    "grass": ["leaves"],
+}
 
 
 def test_every_preset_has_its_facts():
@@ -16,30 +32,89 @@ def test_every_preset_has_its_facts():
 
 @pytest.mark.parametrize("preset", FACTS)
 def test_counts_and_place(preset):
-    leaf_count, per_leaf, wood_count = FACTS[preset]
+    leaf_count, triangle_count, wood_count, height = FACTS[preset]
     plant = tl.grow_plant(preset, seed=1)
     assert plant.name == preset
     assert plant.foliage.leaf_count == leaf_count
-    np.testing.assert_array_equal(np.diff(plant.foliage.leaf_offsets), per_leaf)
-    assert len(plant.wood.triangles) == pytest.approx(wood_count, rel=0.01)
-    assert [material.name for material in plant.materials] == ["wood", "leaves"]
-    assert set(plant.wood.material_ids) == {0}
-    assert set(plant.foliage.mesh.material_ids) == {1}
+    assert len(plant.foliage.triangles) == triangle_count
+    assert len(plant.wood.triangles) == wood_count
+    names = [material.name for material in plant.materials]
+    assert names == MATERIALS[preset]
+    used = set(plant.wood.material_ids) | set(plant.foliage.mesh.material_ids)
+    assert used == set(range(len(names))), "every material is used"
+    assert 0 not in plant.foliage.mesh.material_ids or wood_count == 0
     assert plant.bounds[0, 1] == 0.0, "stands on the ground"
-    foot = plant.wood.positions[plant.wood.positions[:, 1] == 0.0]
-    np.testing.assert_allclose(foot.mean(0), 0.0, atol=1e-3, err_msg="around the origin")
+    assert plant.bounds[1, 1] == pytest.approx(height, rel=0.02)
+    feet = np.concatenate([plant.wood.positions, plant.foliage.positions])
+    foot = feet[feet[:, 1] == 0.0]
+    # a tuft's blades rise from a disc of 6 cm
+    np.testing.assert_allclose(foot.mean(0), 0.0, atol=0.01, err_msg="around the origin")
 
 
-@pytest.mark.parametrize("preset", FACTS)
+def test_a_grove_is_the_paper_s_tree():
+    plant = tl.grow_plant("grove")
+    sizes = np.diff(plant.foliage.leaf_offsets)
+    assert sizes[sizes == 2].sum() == 11_564, "leaves"
+    assert sizes[sizes > 2].sum() == 8_093, "twigs"
+    solid = tl.FullMesh.build(plant, wood_triangle_count=200)
+    count = solid.footprint.triangles - len(plant.foliage.triangles)
+    assert 180 <= count <= 200, "meshoptimizer stops where no step leads to the target"
+
+
+def test_needles_and_leaflets_are_long():
+    for preset in ("pine", "palm"):
+        foliage = tl.grow_plant(preset).foliage
+        corners = foliage.positions.reshape(foliage.leaf_count, -1, 3).astype(np.float64)
+        values = np.linalg.svd(corners - corners.mean(1, keepdims=True), compute_uv=False)
+        assert np.median(values[:, 0] / values[:, 1]) > 4, preset
+
+
+@pytest.mark.parametrize("preset", TREES)
 def test_leaves_hang_in_a_crown_above_the_ground(preset):
     foliage = tl.grow_plant(preset).foliage
-    assert foliage.positions[:, 1].min() > 0.5
+    assert foliage.positions[:, 1].min() > 0.4
     assert foliage.areas.min() > 0.0
-    # leaves look up more often than down, and in every direction around
+    # leaves look in every direction around, and broad ones up more often than down
     azimuths = np.arctan2(foliage.normals[:, 0], foliage.normals[:, 2])
     counts, _ = np.histogram(azimuths, bins=8, range=(-np.pi, np.pi))
     assert counts.min() > 0.5 * counts.mean()
-    assert (foliage.normals[:, 1] > 0).mean() > 0.8
+    if preset != "pine":
+        assert (foliage.normals[:, 1] > 0).mean() > 0.8
+
+
+def test_flowers_have_the_colours_of_their_kind():
+    def parts(preset):
+        plant = tl.grow_plant(preset)
+        mesh = plant.foliage.mesh
+        flower = mesh.triangles[mesh.material_ids == 2].ravel()
+        return plant, mesh.base[flower, :3]
+
+    plant, colors = parts("sunflower")
+    red, green, blue = colors.T
+    yellow = (red > 0.6) & (green > 0.3) & (blue < 0.1)
+    brown = (red < 0.3) & (green < red) & (blue < green)
+    assert yellow.mean() > 0.15
+    assert brown.mean() > 0.4
+    leaves = plant.foliage.areas[np.diff(plant.foliage.leaf_offsets) == 8]
+    assert np.sort(leaves)[-17:].min() > 5 * np.median(leaves), "large leaves"
+    _, colors = parts("daisy")
+    white = colors.min(axis=1) > 0.6
+    yellow = (colors[:, 0] > 0.5) & (colors[:, 2] < 0.1)
+    assert white.mean() > 0.4
+    assert yellow.mean() > 0.3
+
+
+def test_grass_bends_over():
+    foliage = tl.grow_plant("grass").foliage
+    blades = foliage.positions.reshape(foliage.leaf_count, 11, 3)
+    # two corners at each of five widths, then the tip
+    axis = np.concatenate([blades[:, :10].reshape(-1, 5, 2, 3).mean(2), blades[:, 10:]], axis=1)
+    steps = np.diff(axis, axis=1)
+    steps /= np.linalg.norm(steps, axis=2, keepdims=True)
+    assert (axis[:, 0, 1] == 0.0).all(), "from the ground"
+    assert (steps[:, 0, 1] > 0.7).all(), "upright at the foot"
+    assert (steps[:, 0, 1] > steps[:, -1, 1]).all(), "less so at the tip"
+    assert 0.1 < (steps[:, -1, 1] < 0).mean() < 0.9, "some hang, some do not"
 
 
 def test_same_arguments_same_plant():
@@ -54,11 +129,33 @@ def test_same_arguments_same_plant():
         )
 
 
+@pytest.mark.parametrize("preset", FACTS)
+def test_seeds_differ_in_shape_and_not_in_counts(preset):
+    first, again, other = (tl.grow_plant(preset, seed=seed) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(first.foliage.positions, again.foliage.positions)
+    np.testing.assert_array_equal(first.wood.positions, again.wood.positions)
+    assert first.foliage.positions.shape == other.foliage.positions.shape
+    assert (first.foliage.positions != other.foliage.positions).any(axis=1).mean() > 0.9
+
+
+# what a plant always has besides leaves, petals that are not florets, and twigs
+LEAST = {"grove": 1_350, "sunflower": 82, "daisy": 449}
+
+
 @pytest.mark.parametrize("leaf_count", [1, 7, 30_000])
-def test_leaf_count_is_exact(leaf_count):
-    plant = tl.grow_plant("broadleaf", leaf_count=np.int64(leaf_count))
+@pytest.mark.parametrize("preset", FACTS)
+def test_leaf_count_is_exact(preset, leaf_count):
+    leaf_count = max(leaf_count, LEAST.get(preset, 1))
+    plant = tl.grow_plant(preset, leaf_count=np.int64(leaf_count))
     assert plant.foliage.leaf_count == leaf_count
-    assert len(plant.wood.triangles) == len(tl.grow_plant("broadleaf").wood.triangles)
+    np.testing.assert_array_equal(plant.wood.positions, tl.grow_plant(preset).wood.positions)
+
+
+@pytest.mark.parametrize("preset", LEAST)
+def test_what_a_plant_always_has_is_the_least(preset):
+    message = rf"leaf_count must be in \[{LEAST[preset]}, 5000000\], got {LEAST[preset] - 1}"
+    with pytest.raises(ValueError, match=message):
+        tl.grow_plant(preset, leaf_count=LEAST[preset] - 1)
 
 
 def test_lighting_is_used():
@@ -71,7 +168,10 @@ def test_lighting_is_used():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"preset": "oak"}, "preset: .*oak.*chestnut, broadleaf"),
+        (
+            {"preset": "oak"},
+            "preset: .*oak.*chestnut, broadleaf, grove, pine, palm, sunflower, daisy, grass",
+        ),
         ({"preset": "chestnut", "seed": -1}, "seed must be in"),
         ({"preset": "chestnut", "seed": 2**64}, "seed must be in"),
         ({"preset": "chestnut", "leaf_count": 0}, "leaf_count must be in"),

@@ -42,6 +42,7 @@ class _LightingFacts(TypedDict):
     sky: Sequence[float]
     ground: Sequence[float]
     translucency: float
+    occlusion: float
 
 class _MeshArrays(TypedDict):
     positions: _F32
@@ -76,7 +77,13 @@ class Plant:
         leaf_offsets: _U32,
         lighting: _LightingFacts,
     ) -> Plant: ...
-    def lit(self, lighting: _LightingFacts) -> Plant: ...
+    def lit(
+        self,
+        lighting: _LightingFacts,
+        *,
+        threads: int | None = None,
+        progress: Callable[[int, int], object] | None = None,
+    ) -> Plant: ...
     @property
     def name(self) -> str: ...
     @property

@@ -7,7 +7,7 @@ read-only: a plant never changes, and everything built from it relies on that.
 
 import operator
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -57,6 +57,24 @@ class Lighting:
         Irradiance of a surface that faces down.
     translucency : float
         Share of the light that goes through a leaf, in [0, 1]. Wood lets none through.
+    occlusion : float
+        How much of the sky's and the ground's light the plant keeps from itself, in [0, 1]. Each is
+        multiplied by ``1 - occlusion * (1 - v)``, ``v`` the share of it that this side of a vertex
+        sees past the rest of the plant [1]_; the sun's light is not changed. 0 is off and costs
+        nothing.
+
+    Notes
+    -----
+    For `occlusion` the plant counts as a cloud: its box is cut into cubes, 64 along its longest
+    side, and a cube dims light by half the area of the leaves in it (a quarter of that of the wood)
+    over its volume. Along 64 fixed directions from each vertex's cube, that one and its neighbours
+    left out, ``exp(-depth)`` gets through. It takes
+    0.3 s of processor time for the chestnut and 9 s for one of a million leaves.
+
+    References
+    ----------
+    .. [1] K. Hegeman, S. Premoze, M. Ashikhmin, G. Drettakis. Approximate ambient occlusion for
+       trees. Symposium on Interactive 3D Graphics and Games 2006.
     """
 
     sun_direction: Vec3 = (0.45, 0.77, 0.45)
@@ -64,6 +82,7 @@ class Lighting:
     sky: Vec3 = (0.32, 0.38, 0.48)
     ground: Vec3 = (0.12, 0.11, 0.09)
     translucency: float = 0.25
+    occlusion: float = 0.0
 
     def _facts(self) -> "_core._LightingFacts":
         return cast("_core._LightingFacts", asdict(self))
@@ -425,9 +444,16 @@ class Plant:
             sky=_vec3(facts["sky"]),
             ground=_vec3(facts["ground"]),
             translucency=facts["translucency"],
+            occlusion=facts["occlusion"],
         )
 
-    def lit(self, lighting: Lighting) -> "Plant":
+    def lit(
+        self,
+        lighting: Lighting,
+        *,
+        threads: int | None = None,
+        progress: Callable[[int, int], object] | None = None,
+    ) -> "Plant":
         """
         Give the same plant under other light.
 
@@ -435,6 +461,12 @@ class Plant:
         ----------
         lighting : Lighting
             Replaces the light that the plant has.
+        threads : int, optional
+            In ``1..=1024``. Default: ``TREELOD_NUM_THREADS``, else all cores. The colours do not
+            depend on it.
+        progress : callable, optional
+            Called as ``progress(done, total)`` while occlusion is computed; what it raises stops
+            the call.
 
         Returns
         -------
@@ -445,9 +477,10 @@ class Plant:
         ------
         ValueError
             If a colour is negative or not finite, the sun's direction is zero, or the translucency
-            lies outside [0, 1].
+            or the occlusion lies outside [0, 1]; if `threads` is out of range.
         """
-        return Plant(self._core.lit(lighting._facts()), self._tallies)
+        core = self._core.lit(lighting._facts(), threads=threads, progress=progress)
+        return Plant(core, self._tallies)
 
     def summary(self) -> str:
         """
@@ -509,23 +542,26 @@ def grow_plant(
     Parameters
     ----------
     preset : str
-        One of `PRESETS`: ``"chestnut"``, 16 m, 11,291 leaves of 10 triangles and about 46,000
-        triangles of wood; ``"broadleaf"``, 12 m, 20,376 quad leaves and about 47,700 triangles of
-        wood.
+        One of `PRESETS`: the trees ``"chestnut"``, ``"broadleaf"``, ``"grove"``, ``"pine"`` and
+        ``"palm"``, the flowers ``"sunflower"`` and ``"daisy"``, and ``"grass"``.
+        ``docs/plants.md`` has a table of their sizes and counts, and a picture.
     seed : int, default 1
-        In ``0..2**64 - 1``. Another seed gives another plant with the same counts; only the wood's
-        may differ, by at most 1 %.
+        In ``0..2**64 - 1``. Another seed gives another plant with the same foliage counts; the
+        wood's may differ, by at most 1 % (30 % for a grove, whose solid wood has no twigs).
     leaf_count : int, optional
-        In ``1..5_000_000``, met exactly; the wood stays the same. Default: the preset's. Leaves in
-        excess of the preset's number are smaller, so that the leaf area stays the preset's.
+        Elements of the foliage, at most 5,000,000, met exactly; the wood stays the same. Default:
+        the preset's. Twigs of a grove and leaves, rays and bracts of flowers come in fixed numbers
+        and count too; the rest is leaves, florets of flowers, blades of grass, and at least one.
+        Leaves in excess of the preset's number are smaller, so that the leaf area stays.
     lighting : Lighting, optional
         Default: ``Lighting()``.
 
     Returns
     -------
     Plant
-        In metres, y up, the foot of the trunk at the origin; materials ``wood`` and ``leaves``
-        without textures.
+        In metres, y up, the foot at the origin, without textures. Materials ``wood`` and
+        ``leaves`` (trees), ``stems``, ``leaves`` and ``flowers`` (flowers), or ``leaves`` (grass,
+        which has no wood).
 
     Raises
     ------
@@ -537,10 +573,13 @@ def grow_plant(
     -----
     Stems bend, fork and bear side branches after Weber and Penn [1]_; the crown's outline, the
     leaves' number and the wood's are given instead of following from the branches' numbers.
+    Florets sit in Vogel's spiral [2]_.
 
     References
     ----------
     .. [1] J. Weber and J. Penn. Creation and rendering of realistic trees. SIGGRAPH 1995.
+    .. [2] H. Vogel. A better way to construct the sunflower head. Mathematical Biosciences 44,
+       1979.
 
     Examples
     --------

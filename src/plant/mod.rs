@@ -5,6 +5,7 @@ pub mod grow;
 pub mod lighting;
 pub mod mesh;
 pub mod normals;
+pub mod occlusion;
 #[expect(clippy::module_inception, reason = "the file is named for the type it holds")]
 pub mod plant;
 pub mod split;

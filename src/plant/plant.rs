@@ -5,7 +5,8 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 
 use crate::error::{LodError, check_finite, check_in};
-use crate::plant::{Foliage, Lighting, Mesh, Structure};
+use crate::job::Job;
+use crate::plant::{Foliage, Lighting, Mesh, Structure, occlusion};
 use crate::texture::{Sampler, Texture};
 
 /// What a material's alpha means.
@@ -82,26 +83,44 @@ impl Plant {
             mesh.front.resize(mesh.positions.len(), Vec3::ZERO);
             mesh.back.resize(mesh.positions.len(), Vec3::ZERO);
             mesh.check(materials.len())?;
-            lighting.light(mesh, translucency);
+            lighting.light(mesh, translucency, None);
         }
         if wood.is_empty() && leaves.is_empty() {
             return Err(LodError::Empty { name: "plant", why: "it has no triangles" });
         }
         let foliage = Foliage::new(leaves, leaf_offsets)?;
-        Ok(Self { name, origin, materials, wood, foliage, lighting, structure: None })
+        let lit = lighting.without_occlusion();
+        let plant = Self { name, origin, materials, wood, foliage, lighting: lit, structure: None };
+        plant.relit(lighting, &Job::default())
     }
 
     /// The same plant under other light.
     ///
     /// # Errors
-    /// If the lighting is out of range.
-    pub fn lit(&self, lighting: Lighting) -> Result<Self, LodError> {
+    /// If the lighting is out of range; [`LodError::Cancelled`].
+    pub fn lit(&self, lighting: Lighting, job: &Job) -> Result<Self, LodError> {
+        self.clone().relit(lighting, job)
+    }
+
+    /// This plant under other light.
+    ///
+    /// # Errors
+    /// As [`Plant::lit`].
+    pub fn relit(mut self, lighting: Lighting, job: &Job) -> Result<Self, LodError> {
         lighting.check()?;
-        let mut plant = self.clone();
-        lighting.light(&mut plant.wood, 0.0);
-        lighting.light(&mut plant.foliage.mesh, lighting.translucency);
-        plant.lighting = lighting;
-        Ok(plant)
+        if lighting == self.lighting {
+            return Ok(self);
+        }
+        let seen = if lighting.occlusion > 0.0 {
+            Some(occlusion::seen(&self.wood, &self.foliage, &self.materials, job)?)
+        } else {
+            None
+        };
+        let of = |mesh: usize| seen.as_ref().map(|seen| &seen[mesh][..]);
+        lighting.light(&mut self.wood, 0.0, of(0));
+        lighting.light(&mut self.foliage.mesh, lighting.translucency, of(1));
+        self.lighting = lighting;
+        Ok(self)
     }
 
     /// Triangles of wood and foliage together.

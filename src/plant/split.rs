@@ -456,7 +456,11 @@ fn twin_area(mesh: &Mesh, position_of: &[u32], triangles: &[u32]) -> f64 {
 }
 
 /// For each triangle the share that its texture leaves out.
-fn cutout_shares(mesh: &Mesh, materials: &[Material], job: &Job) -> Result<Vec<f32>, LodError> {
+pub(super) fn cutout_shares(
+    mesh: &Mesh,
+    materials: &[Material],
+    job: &Job,
+) -> Result<Vec<f32>, LodError> {
     let mut shares = vec![0.0; mesh.triangles.len()];
     for part in &mesh.parts {
         job.check()?;

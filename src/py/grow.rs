@@ -4,7 +4,7 @@ use pyo3::prelude::*;
 
 use super::plant::{LightingFacts, Plant};
 use super::run::run;
-use crate::plant::grow as core;
+use crate::plant::{Lighting, grow as core};
 
 /// A plant of a preset.
 #[pyfunction]
@@ -15,8 +15,13 @@ pub(super) fn grow(
     leaf_count: Option<usize>,
     lighting: LightingFacts,
 ) -> PyResult<Plant> {
-    let lighting = lighting.into();
-    Ok(run(py, None, None, |_| core::grow(preset, seed, leaf_count, lighting))?.into())
+    let lighting = Lighting::from(lighting);
+    let plant = run(py, None, None, |job| {
+        lighting.check()?;
+        let light = lighting.without_occlusion();
+        core::grow(preset, seed, leaf_count, light)?.relit(lighting, job)
+    })?;
+    Ok(plant.into())
 }
 
 /// Names that `grow` takes.

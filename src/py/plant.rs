@@ -64,6 +64,7 @@ pub(super) struct LightingFacts {
     sky: [f64; 3],
     ground: [f64; 3],
     translucency: f64,
+    occlusion: f64,
 }
 
 impl From<LightingFacts> for Lighting {
@@ -74,6 +75,7 @@ impl From<LightingFacts> for Lighting {
             sky: facts.sky.into(),
             ground: facts.ground.into(),
             translucency: facts.translucency,
+            occlusion: facts.occlusion,
         }
     }
 }
@@ -163,18 +165,27 @@ impl Plant {
         let materials = materials_from(&materials)?;
         let (wood, foliage) = (wood.mesh()?, foliage.mesh()?);
         let leaf_offsets = slice("leaf_offsets", &leaf_offsets)?.to_vec();
-        let lighting = lighting.into();
-        let plant = run(py, None, None, move |_| {
+        let lighting = Lighting::from(lighting);
+        let plant = run(py, None, None, move |job| {
             let origin = DVec3::from(origin);
-            core::Plant::new(name, origin, materials, wood, foliage, leaf_offsets, lighting)
+            let light = lighting.without_occlusion();
+            core::Plant::new(name, origin, materials, wood, foliage, leaf_offsets, light)?
+                .relit(lighting, job)
         })?;
         Ok(plant.into())
     }
 
     /// The same plant under other light.
-    fn lit(&self, py: Python<'_>, lighting: LightingFacts) -> PyResult<Self> {
+    #[pyo3(signature = (lighting, *, threads=None, progress=None))]
+    fn lit(
+        &self,
+        py: Python<'_>,
+        lighting: LightingFacts,
+        threads: Option<usize>,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Self> {
         let lighting = lighting.into();
-        Ok(run(py, None, None, |_| self.inner.lit(lighting))?.into())
+        Ok(run(py, threads, progress, |job| self.inner.lit(lighting, job))?.into())
     }
 
     #[getter]
@@ -209,13 +220,15 @@ impl Plant {
     /// A dict of what the lighting was made from.
     #[getter]
     fn lighting<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let Lighting { sun_direction, sun, sky, ground, translucency } = self.inner.lighting;
+        let Lighting { sun_direction, sun, sky, ground, translucency, occlusion } =
+            self.inner.lighting;
         let facts = PyDict::new(py);
         facts.set_item("sun_direction", sun_direction.to_array())?;
         facts.set_item("sun", sun.to_array())?;
         facts.set_item("sky", sky.to_array())?;
         facts.set_item("ground", ground.to_array())?;
         facts.set_item("translucency", translucency)?;
+        facts.set_item("occlusion", occlusion)?;
         Ok(facts)
     }
 
@@ -276,7 +289,7 @@ pub(super) fn split_plant(
     let materials = materials_from(&materials)?;
     let mut mesh = mesh.mesh()?;
     let mask = foliage_mask.as_ref().map(|mask| slice("foliage_mask", mask)).transpose()?;
-    let lighting = lighting.into();
+    let lighting = Lighting::from(lighting);
     let (plant, tallies) = run(py, None, None, move |job| {
         mesh.front.resize(mesh.positions.len(), Vec3::ZERO);
         mesh.back.resize(mesh.positions.len(), Vec3::ZERO);
@@ -284,8 +297,9 @@ pub(super) fn split_plant(
         drop(mesh);
         let (wood, leaves, offsets) = (parts.wood, parts.leaves, parts.leaf_offsets);
         let origin = DVec3::from(origin);
-        let plant = core::Plant::new(name, origin, materials, wood, leaves, offsets, lighting)?;
-        Ok((plant, parts.tallies))
+        let light = lighting.without_occlusion();
+        let plant = core::Plant::new(name, origin, materials, wood, leaves, offsets, light)?;
+        Ok((plant.relit(lighting, job)?, parts.tallies))
     })?;
     let row = |t: Tally| (t.material, t.reason.name(), t.piece_count, t.triangle_count);
     Ok((plant.into(), tallies.into_iter().map(row).collect()))

@@ -21,7 +21,16 @@ impl Vary {
     }
 }
 
-/// A plant species.
+/// What the stems of the last level are made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Twigs {
+    /// Tubes, part of the wood.
+    Wood,
+    /// Folded strips, part of the foliage, with so many triangles in all.
+    Foliage(usize),
+}
+
+/// A woody plant.
 #[derive(Debug)]
 pub(super) struct Species {
     /// How Python names it.
@@ -31,8 +40,10 @@ pub(super) struct Species {
     pub(super) crown: Crown,
     /// Levels of branches, the trunk first; leaves grow on the last one.
     pub(super) levels: &'static [Level],
-    /// Triangles of all wood; the twigs' spacing is adjusted to reach it.
-    pub(super) wood_triangle_count: usize,
+    /// Triangles of all stems; the spacing of those of the last level is adjusted to reach it.
+    pub(super) stem_triangle_count: usize,
+    /// What the stems of the last level are made of.
+    pub(super) twigs: Twigs,
     pub(super) bark: Bark,
     pub(super) leaves: Leaves,
 }
@@ -53,12 +64,24 @@ pub(super) struct Trunk {
 /// Relative length of a limb by `r`: 0 at the crown's top, 1 at its lowest limb.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Crown {
+    pub(super) outline: Outline,
     /// Largest radius as a share of the trunk's height; longer limbs are cut to it.
     pub(super) radius: f64,
     /// Where limbs are longest.
     pub(super) widest: f64,
     /// Length of the topmost and of the lowest limbs as a share of the longest.
     pub(super) ends: (f64, f64),
+}
+
+/// How the crown's outline runs from where it is widest to its ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Outline {
+    /// As quarters of an ellipse.
+    Round,
+    /// As straight lines.
+    Cone,
+    /// There is none: every limb has its full length, and may hang as low as it likes.
+    Free,
 }
 
 /// One generation of stems.
@@ -77,6 +100,10 @@ pub(super) struct Level {
     pub(super) sides: usize,
     /// Distance between neighbours along the parent; of twigs, to begin with.
     pub(super) spacing: f64,
+    /// How far one may stand from its even place, as a share of the spacing.
+    pub(super) jitter: f64,
+    /// How many leave the parent at the same height.
+    pub(super) whorl: usize,
     /// Share of the parent that bears none, from its base.
     pub(super) bare: f64,
     /// Angle to the parent at its base and at its tip.
@@ -114,6 +141,8 @@ pub(super) struct Leaves {
     pub(super) blade: Blade,
     /// Of the blade, along its y axis.
     pub(super) length: Vary,
+    /// Length of the lowest and of the outermost leaf of a twig as a share of the longest.
+    pub(super) ends: (f64, f64),
     /// Share of a twig without leaves, from its base.
     pub(super) bare: f64,
     /// Length of the leafy end of a branch that is no twig.
@@ -123,6 +152,8 @@ pub(super) struct Leaves {
     /// Angle to the twig at its base and at its tip.
     pub(super) down: (f64, f64),
     pub(super) down_spread: f64,
+    /// Angle about the twig of the lowest leaf, from the horizontal on the right; `None`: any.
+    pub(super) first: Option<f64>,
     /// From one whorl to the next.
     pub(super) around: Vary,
     /// How much the blade's direction is drawn down: 0 not at all, 1 by 45 degrees if horizontal.
@@ -148,16 +179,45 @@ pub(super) struct Blade {
     pub(super) triangles: &'static [[u8; 3]],
 }
 
+/// Angles to the parent at its base and at its tip, stated at the lowest side branch instead of the
+/// base: for stems that bear side branches close to their tips only.
+pub(super) const fn down_from(bare: f64, lowest: f64, tip: f64) -> (f64, f64) {
+    (tip + (lowest - tip) / (1.0 - bare), tip)
+}
+
+/// Rises from the first of `ends` at 0 to 1 at `widest`, and falls to the second at 1, as two
+/// quarters of an ellipse.
+pub(super) fn bulge(at: f64, widest: f64, ends: (f64, f64)) -> f64 {
+    let (end, distance) = from_widest(at, widest, ends);
+    end + (1.0 - end) * (1.0 - distance * distance).max(0.0).sqrt()
+}
+
+/// The end on this side of the widest place, and the distance from there: 1 at the end.
+fn from_widest(at: f64, widest: f64, ends: (f64, f64)) -> (f64, f64) {
+    if at < widest {
+        (ends.0, (widest - at) / widest)
+    } else {
+        (ends.1, (at - widest) / (1.0 - widest))
+    }
+}
+
+impl Species {
+    /// Whether stems of a level are foliage.
+    pub(super) fn is_foliage(&self, level: usize) -> bool {
+        level + 1 == self.levels.len() && self.twigs != Twigs::Wood
+    }
+}
+
 impl Crown {
     pub(super) fn limb_share(self, r: f64) -> f64 {
-        let (top, bottom) = self.ends;
-        let (end, distance) = if r < self.widest {
-            (top, (self.widest - r) / self.widest)
-        } else {
-            (bottom, (r - self.widest) / (1.0 - self.widest))
-        };
-        // an ellipse's quarter on either side, so that the outline is round
-        end + (1.0 - end) * (1.0 - distance * distance).max(0.0).sqrt()
+        match self.outline {
+            Outline::Round => bulge(r, self.widest, self.ends),
+            Outline::Cone => {
+                let (end, distance) = from_widest(r, self.widest, self.ends);
+                end + (1.0 - end) * (1.0 - distance)
+            }
+            Outline::Free => 1.0,
+        }
     }
 }
 
@@ -167,9 +227,21 @@ mod tests {
 
     #[test]
     fn limbs_are_longest_where_the_crown_is_widest() {
-        let crown = Crown { radius: 0.5, widest: 0.75, ends: (0.25, 0.5) };
+        let round = Crown { outline: Outline::Round, radius: 0.5, widest: 0.75, ends: (0.25, 0.5) };
+        let cone = Crown { outline: Outline::Cone, ..round };
+        let free = Crown { outline: Outline::Free, ..round };
         for (r, share) in [(0.0, 0.25), (0.75, 1.0), (1.0, 0.5)] {
-            assert_eq!(crown.limb_share(r), share, "r = {r}");
+            assert_eq!(round.limb_share(r), share, "r = {r}");
+            assert_eq!(cone.limb_share(r), share, "r = {r}");
+            assert_eq!(free.limb_share(r), 1.0, "r = {r}");
         }
+        assert_eq!(cone.limb_share(0.375), 0.625, "half way on a straight line");
+        assert!(round.limb_share(0.375) > 0.8, "an ellipse is wider half way");
+    }
+
+    #[test]
+    fn angles_may_be_stated_where_branches_begin() {
+        let (base, tip) = down_from(0.75, 90.0, 30.0);
+        assert_eq!((base + (tip - base) * 0.75, tip), (90.0, 30.0), "at 0.75 and at 1");
     }
 }

@@ -11,8 +11,9 @@
 
 use glam::DVec3;
 
-use crate::plant::grow::params::{Level, Species};
+use crate::plant::grow::params::{Level, Outline, Species, Twigs, Vary};
 use crate::plant::grow::turn::{across, around_axis, level_side, side_direction, turn};
+use crate::plant::grow::twigs;
 use crate::random::{Purpose, Stream};
 
 const STEM: Purpose = Purpose::named("grow.stem");
@@ -79,6 +80,22 @@ pub(super) struct Stem {
 }
 
 impl Stem {
+    /// A stem along a chain of points, each with its radius.
+    pub(super) fn through(parent: Option<u32>, level: usize, points: &[(DVec3, f64)]) -> Self {
+        let mut arc = 0.0;
+        let mut nodes: Vec<Node> = Vec::with_capacity(points.len());
+        for &(position, radius) in points {
+            arc += nodes.last().map_or(0.0, |last| last.position.distance(position));
+            nodes.push(Node { position, direction: DVec3::Y, radius, arc, ridge: 0.0, share: 1.0 });
+        }
+        smooth_directions(&mut nodes);
+        if level > 0 {
+            // inside its parent a side stem need not lie flat
+            nodes[0].direction = (nodes[1].position - nodes[0].position).normalize();
+        }
+        Self { parent, level, nodes }
+    }
+
     /// Length along the axis.
     pub(super) fn length(&self) -> f64 {
         self.nodes[self.nodes.len() - 1].arc
@@ -138,7 +155,15 @@ struct Start {
 ///
 /// Twigs are spaced so that the wood has the species' number of triangles, whatever the seed.
 pub(super) fn grow_stems(species: &Species, seed: u64) -> Vec<Stem> {
-    let target = species.wood_triangle_count as f64;
+    let mut stems = grow_to_fit(species, seed);
+    if let Twigs::Foliage(triangle_count) = species.twigs {
+        twigs::thin_out(species, &mut stems, twigs::twig_count(triangle_count));
+    }
+    stems
+}
+
+fn grow_to_fit(species: &Species, seed: u64) -> Vec<Stem> {
+    let target = species.stem_triangle_count as f64;
     let mut density = 1.0;
     let mut stems = Vec::new();
     for _ in 0..MAX_FITS {
@@ -234,7 +259,8 @@ impl Grower<'_> {
     /// Whether a stem does not hang below the crown, and a limb or an arm of the trunk keeps inside
     /// the crown's outline, scaled by `room`.
     fn fits(&self, start: &Start, nodes: &[Node], room: f64) -> bool {
-        if start.level == 0 && start.first_segment == 0 {
+        let trunk = start.level == 0 && start.first_segment == 0;
+        if trunk || self.species.crown.outline == Outline::Free {
             return true;
         }
         let foot = self.species.levels[1].bare * self.height;
@@ -423,9 +449,11 @@ impl Grower<'_> {
         self.branch_debts[start.level + 1] = exact - count as f64;
         let mut around = if start.level == 0 { stream.unit() * 360.0 } else { 0.0 };
         let mut starts = Vec::with_capacity(count);
+        let whorls = count.div_ceil(child.whorl);
         for number in 0..count {
-            let jitter = 0.35 * stream.signed();
-            let mut left = weight * (number as f64 + 0.5 + jitter) / count as f64;
+            let jitter = child.jitter * stream.signed();
+            let whorl = (number / child.whorl) as f64;
+            let mut left = weight * (whorl + 0.5 + jitter) / whorls as f64;
             let segment = weights.iter().position(|&here| {
                 let inside = left < here;
                 if !inside {
@@ -441,7 +469,12 @@ impl Grower<'_> {
             let offset = begun + arc;
             let node = stem.at(arc);
             let along = offset / start.length;
-            around += child.around.at(stream.signed());
+            let turn = if number.is_multiple_of(child.whorl) {
+                child.around
+            } else {
+                Vary { mean: 360.0 / child.whorl as f64, ..child.around }
+            };
+            around += turn.at(stream.signed());
             let (low, high) = child.down;
             let down = low + (high - low) * along + child.down_spread * stream.signed();
             let length = child.length.at(stream.signed())
@@ -510,7 +543,7 @@ fn smooth_directions(nodes: &mut [Node]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::grow::presets::PRESETS;
+    use crate::plant::grow::presets::trees;
 
     /// Distance from a point to a stem's axis.
     fn distance(stem: &Stem, point: DVec3) -> f64 {
@@ -524,7 +557,7 @@ mod tests {
 
     #[test]
     fn every_stem_begins_inside_its_parent() {
-        for species in PRESETS {
+        for species in trees() {
             let stems = grow_stems(species, 1);
             for stem in &stems[1..] {
                 let parent = &stems[stem.parent.expect("only the trunk has none") as usize];
@@ -538,7 +571,7 @@ mod tests {
 
     #[test]
     fn stems_taper_and_their_arcs_are_lengths() {
-        for species in PRESETS {
+        for species in trees() {
             for stem in grow_stems(species, 1) {
                 let mut length = 0.0;
                 for pair in stem.nodes.windows(2) {
@@ -552,7 +585,7 @@ mod tests {
 
     #[test]
     fn more_twigs_leave_the_limbs_as_they_are() {
-        for species in PRESETS {
+        for species in trees() {
             let limbs = |density| {
                 let mut stems = grow_at(species, 1, density);
                 stems.retain(|stem| stem.level + 1 < species.levels.len());
