@@ -642,7 +642,7 @@ def load_plant(
         message names the file and what is wrong in it. Refused are paths out of the file's folder,
         pictures above 16384 a side or 2**26 texels, and required extensions that are not read.
     LimitError
-        If the file holds more than 2**25 triangles, instances counted.
+        If the file holds more than 2**25 triangles, instances counted, or 2**17 nodes.
     ValueError
         If a name in `foliage` is neither a material nor a mesh, or `unit` or `up` is out of range.
 

@@ -21,9 +21,6 @@ const SIZE: (u32, u32) = (40, 32);
 /// renderer's.
 const STEPS_PER_PX: i32 = 2 * SUBPIXEL_COUNT;
 
-/// Soups a property draws.
-const CASE_COUNT: u32 = 192;
-
 /// A parallel view whose pixels are metres: x to the right and y down from the top left, z = 0 at
 /// depth 16.
 fn pixel_view() -> View {
@@ -166,10 +163,10 @@ fn free_soups() -> impl Strategy<Value = Soup> {
     )
 }
 
-/// Draws the same soups on every run; a failure is shrunk and printed.
+/// Draws the same soups on every run, more of them if `PROPTEST_CASES` says so; a failure is shrunk and
+/// printed.
 fn run<S: Strategy<Value = Soup>>(soups: S, check: impl Fn(&Soup) -> Result<(), String>) {
     let config = ProptestConfig {
-        cases: CASE_COUNT,
         failure_persistence: None,
         rng_seed: RngSeed::Fixed(7),
         ..ProptestConfig::default()
