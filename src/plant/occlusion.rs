@@ -2,11 +2,11 @@
 //!
 //! A crown is too fine for rays against its triangles to be worth their time, and what dims the
 //! light in it is the sum of many leaves; so it is taken for a cloud. The plant's box is divided into
-//! cubes, [`CELLS`] along its longest side. A cube dims light by `k` a metre: half the area of
+//! cubes, 64 along its longest side. A cube dims light by `k` a metre: half the area of
 //! leaves in it over its volume (a sheet's mean projection over all directions is half its area; what
 //! the texture cuts out does not count), and a quarter of the area of wood, which is closed. Along a
 //! ray the share `exp(-sum k_i l_i)` gets through (Beer and Lambert). Rays begin at the middle of the
-//! vertex's cube, go [`DIRECTIONS`] fixed ways, and skip that cube and its 26 neighbours: a leaf does
+//! vertex's cube, go 64 fixed ways, and skip that cube and its 26 neighbours: a leaf does
 //! not darken itself. A side sees the mean over the upper directions, weighted with their cosine to
 //! its normal, of the sky, and that over the lower ones of the ground.
 //!
