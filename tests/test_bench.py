@@ -95,9 +95,10 @@ def test_bake_rows_compare_the_same_textures(tmp_path):
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.stderr
     rows = [json.loads(line) for line in file.read_text().splitlines()]
-    assert [list(row) for row in rows] == [KEYS] * 3
-    assert [row["aim"] for row in rows] == [50.0, 10.0, None]
-    for row in rows:
+    assert [list(row) for row in rows] == [KEYS] * 4
+    assert [row["aim"] for row in rows] == [50.0, None, 10.0, None]
+    assert rows[0]["peer_error"] is None, "its coverage is in the next row"
+    for row in rows[1:]:
         # 16 samples: ours and embree's are spread evenly, mitsuba's are random
         assert 0.0 < row["ours_error"] < row["peer_error"] * 1.2
         assert row["peer_error"] < 0.05
