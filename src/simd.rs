@@ -20,6 +20,9 @@ pub enum Level {
     Avx2(Avx2),
 }
 
+/// Numbers that kernels work on at once; levels with shorter vectors use several.
+pub(crate) const LANE_COUNT: usize = 8;
+
 /// Names of the levels, as `TREELOD_SIMD` takes them.
 pub const NAMES: [&str; 3] = ["scalar", "sse2", "avx2"];
 

@@ -1,182 +1,339 @@
 //! Which samples of which pixels a shape covers: exact fixed-point edges, the top-left rule.
 //!
 //! A sample on an edge belongs to the shape whose left or upper edge it is, so triangles that share
-//! an edge cover every sample on it exactly once.
+//! an edge cover every sample on it exactly once. Eight samples are tested at once: those of one
+//! pixel or of a few neighbours in a row, as they lie in a tile's memory.
 //!
 //! This work is based on:
 //! Juan Pineda. A parallel algorithm for polygon rasterization. 1988
+//! Fabian Giesen. Optimizing Software Occlusion Culling. 2013
 
+use fearless_simd::prelude::*;
+use fearless_simd::{f32x8, i32x8, mask32x8};
+
+use crate::raster::grid::PixelBox;
 use crate::raster::samples::{SUBPIXEL_COUNT, SamplePosition};
 use crate::raster::setup::{Shape, flags};
+use crate::simd::LANE_COUNT;
 
-/// Calls `visit(x, y, mask)` for every pixel of the box (ends inclusive) of which the shape covers a
-/// sample; bit `s` of the mask is sample `s`.
-#[inline]
-pub(crate) fn covered<const S: usize>(
-    shape: &Shape,
-    pixels: [i32; 4],
-    samples: &[SamplePosition; S],
-    visit: impl FnMut(i32, i32, u32),
-) {
-    if shape.flags & flags::RECT != 0 {
-        rectangle(shape, pixels, samples, visit);
-    } else if shape.flags & flags::WIDE != 0 {
-        wide_triangle(shape, pixels, samples, visit);
-    } else {
-        triangle(shape, pixels, samples, visit);
+/// Vectors that hold the samples of a pixel, at 16 samples.
+const MAX_BLOCK_COUNT: usize = 2;
+
+/// Edge functions that change by less than this over a box of pixels stay within i32 wherever they
+/// cross it.
+const MAX_CHANGE: i64 = 1 << 29;
+
+/// Where the samples of a vector lie, relative to the pixel of its first one.
+///
+/// With `n` samples a pixel, a vector holds `8 / n` pixels of a row; above 8 samples a pixel has
+/// several vectors, its blocks.
+pub(crate) struct Lanes {
+    /// Samples a pixel.
+    pub(crate) sample_count: usize,
+    /// Pixels a vector holds.
+    column_count: i32,
+    /// Vectors a pixel takes.
+    pub(crate) block_count: usize,
+    /// Sub-pixel steps in x and y, one pair of vectors a block.
+    steps: [[[i32; LANE_COUNT]; 2]; MAX_BLOCK_COUNT],
+    /// The same in pixels.
+    pixels: [[[f32; LANE_COUNT]; 2]; MAX_BLOCK_COUNT],
+    /// Which pixel after the first.
+    columns: [i32; LANE_COUNT],
+}
+
+impl Lanes {
+    /// For 1, 4, 8 or 16 samples.
+    pub(crate) fn new(samples: &[SamplePosition]) -> Self {
+        let sample_count = samples.len();
+        assert!([1, 4, 8, 16].contains(&sample_count), "a pass has so many samples");
+        let mut lanes = Self {
+            sample_count,
+            column_count: 1,
+            block_count: sample_count.div_ceil(LANE_COUNT),
+            steps: Default::default(),
+            pixels: Default::default(),
+            columns: Default::default(),
+        };
+        for block in 0..MAX_BLOCK_COUNT {
+            let mut sample = block * LANE_COUNT % sample_count;
+            let mut column = 0;
+            for lane in 0..LANE_COUNT {
+                let [x, y] = samples[sample];
+                for (axis, at) in [x + column * SUBPIXEL_COUNT, y].into_iter().enumerate() {
+                    lanes.steps[block][axis][lane] = at;
+                    lanes.pixels[block][axis][lane] = at as f32 * (1.0 / SUBPIXEL_COUNT as f32);
+                }
+                lanes.columns[lane] = column;
+                lanes.column_count = column + 1;
+                sample = (sample + 1) % sample_count;
+                column += i32::from(sample == 0);
+            }
+        }
+        lanes
+    }
+
+    /// Pixel after a vector's first, and sample of that pixel, of a lane.
+    #[inline(always)]
+    pub(crate) fn place(&self, lane: usize, block: usize) -> (i32, usize) {
+        // counts of samples are powers of two
+        let sample = (block * LANE_COUNT + lane) & (self.sample_count - 1);
+        (self.columns[lane], sample)
+    }
+
+    /// A block's x or y in pixels.
+    #[inline(always)]
+    pub(crate) fn pixels<S: Simd>(&self, simd: S, block: usize, axis: usize) -> f32x8<S> {
+        f32x8::simd_from(simd, self.pixels[block][axis])
+    }
+
+    #[inline(always)]
+    fn steps<S: Simd>(&self, simd: S, block: usize, axis: usize) -> i32x8<S> {
+        i32x8::simd_from(simd, self.steps[block][axis])
+    }
+
+    /// A bit for each lane of a block in which a shape covers the sample, tested one by one.
+    #[inline(never)]
+    fn covered_singly(
+        &self,
+        shape: &Shape,
+        [_, _, x1, _]: PixelBox,
+        x: i32,
+        y: i32,
+        block: usize,
+    ) -> u64 {
+        let edges = [0, 1, 2].map(|from| Edge::new(shape, from, x, y));
+        let mut bits = 0;
+        for lane in 0..LANE_COUNT {
+            let at_x = x * SUBPIXEL_COUNT + self.steps[block][0][lane];
+            let at_y = y * SUBPIXEL_COUNT + self.steps[block][1][lane];
+            let inside = if shape.has(flags::RECT) {
+                contains(shape, at_x, at_y)
+            } else {
+                let mut edges = edges.iter().enumerate();
+                edges.all(|(from, edge)| edge.exact(shape, from, at_x, at_y) >= 0)
+            };
+            bits |= u64::from(inside && x + self.columns[lane] <= x1) << lane;
+        }
+        bits
+    }
+
+    /// How many pixels have a bit set. `block` counts up within a pixel; `seen` is the pixel's bits
+    /// so far.
+    #[inline(always)]
+    pub(crate) fn pixel_count(&self, bits: u64, block: usize, seen: &mut u64) -> u64 {
+        if self.sample_count <= 4 {
+            // the lowest bit of each pixel
+            let (pixels, joined) = match self.sample_count {
+                1 => (0xFF, bits),
+                _ => (0x11, bits | bits >> 1 | bits >> 2 | bits >> 3),
+            };
+            return u64::from((joined & pixels).count_ones());
+        }
+        let before = if block == 0 { 0 } else { *seen };
+        *seen = before | bits;
+        u64::from(before == 0) & u64::from(bits != 0)
     }
 }
 
-/// Change of an edge's function a step in x and y, and 1 for edges that own their samples.
-#[inline]
-fn edge(shape: &Shape, from: usize) -> (i32, i32, i32) {
-    let to = if from == 2 { 0 } else { from + 1 };
-    let dx = shape.x[to].wrapping_sub(shape.x[from]);
-    let dy = shape.y[to].wrapping_sub(shape.y[from]);
-    // corners run clockwise with y down: inside is right of an edge that goes up, below one that
-    // goes right
-    let owns = dy < 0 || (dy == 0 && dx > 0);
-    (dy.wrapping_neg(), dx, i32::from(owns))
+/// Eight samples of which a shape covers some.
+#[derive(Clone, Copy)]
+pub(crate) struct Covered<S: Simd> {
+    /// Pixel of the first.
+    pub(crate) x: i32,
+    pub(crate) y: i32,
+    pub(crate) block: usize,
+    /// Index of the first after that of the box's first.
+    pub(crate) at: usize,
+    pub(crate) inside: mask32x8<S>,
+    /// The same, a bit each.
+    pub(crate) bits: u64,
 }
 
-/// A triangle under 64 pixels a side: every sum fits in i32.
-#[inline]
-fn triangle<const S: usize>(
+/// Calls `visit` for every vector of the box (ends inclusive) of which the shape covers a sample,
+/// or, if `ALL`, for every vector: whoever can do without a branch is spared wrong guesses.
+///
+/// `BLOCKS` is the lanes' `block_count`; a row of the tile's arrays holds `side` pixels.
+#[inline(always)]
+pub(crate) fn covered<S: Simd, const BLOCKS: usize, const ALL: bool>(
+    simd: S,
+    lanes: &Lanes,
     shape: &Shape,
-    [x0, y0, x1, y1]: [i32; 4],
-    samples: &[SamplePosition; S],
-    mut visit: impl FnMut(i32, i32, u32),
+    pixels: PixelBox,
+    side: usize,
+    mut visit: impl FnMut(Covered<S>),
 ) {
-    // Nothing here can pass i32's range before the last pixel, see `flags::WIDE`; the wrapping
-    // operations only keep checks out of the loops.
-    let mut at_row = [0_i32; 3];
-    let mut step_x = [0_i32; 3];
-    let mut step_y = [0_i32; 3];
-    let mut offsets = [[0_i32; S]; 3];
-    for k in 0..3 {
-        let (a, b, owns) = edge(shape, k);
-        let from_x = (x0 * SUBPIXEL_COUNT).wrapping_sub(shape.x[k]);
-        let from_y = (y0 * SUBPIXEL_COUNT).wrapping_sub(shape.y[k]);
-        let at = a.wrapping_mul(from_x).wrapping_add(b.wrapping_mul(from_y));
-        // inside is where the value is not negative, also for edges that do not own their samples
-        at_row[k] = at.wrapping_add(owns - 1);
-        step_x[k] = a.wrapping_mul(SUBPIXEL_COUNT);
-        step_y[k] = b.wrapping_mul(SUBPIXEL_COUNT);
-        for (offset, sample) in offsets[k].iter_mut().zip(samples) {
-            *offset = a.wrapping_mul(sample[0]).wrapping_add(b.wrapping_mul(sample[1]));
+    let [x0, y0, x1, y1] = pixels;
+    let mut edges =
+        [Edge::new(shape, 0, x0, y0), Edge::new(shape, 1, x0, y0), Edge::new(shape, 2, x0, y0)];
+    let row_length = side.wrapping_mul(lanes.sample_count);
+    let vector_length = BLOCKS.wrapping_mul(LANE_COUNT);
+    if shape.has(flags::RECT | flags::WIDE) {
+        let tested = Edge::leave_out_uncrossed(&mut edges, shape, pixels);
+        if tested == Tested::Nothing {
+            return;
         }
-    }
-    for y in y0..=y1 {
-        let mut at = at_row;
-        for x in x0..=x1 {
-            let mut outside = [0_i32; S];
-            for s in 0..S {
-                outside[s] = at[0].wrapping_add(offsets[0][s])
-                    | at[1].wrapping_add(offsets[1][s])
-                    | at[2].wrapping_add(offsets[2][s]);
-            }
-            let mut mask = 0;
-            for (s, outside) in outside.into_iter().enumerate() {
-                mask |= u32::from(outside >= 0) << s;
-            }
-            if mask != 0 {
-                visit(x, y, mask);
-            }
-            for k in 0..3 {
-                at[k] = at[k].wrapping_add(step_x[k]);
-            }
-        }
-        for k in 0..3 {
-            at_row[k] = at_row[k].wrapping_add(step_y[k]);
-        }
-    }
-}
-
-/// A triangle of any size.
-fn wide_triangle<const S: usize>(
-    shape: &Shape,
-    [x0, y0, x1, y1]: [i32; 4],
-    samples: &[SamplePosition; S],
-    mut visit: impl FnMut(i32, i32, u32),
-) {
-    // Corners lie within 2^29 steps of the picture, so products fit in i64 with room to spare; the
-    // wrapping operations only keep checks out of the loops.
-    let step = i64::from(SUBPIXEL_COUNT);
-    let mut at_row = [0_i64; 3];
-    let mut step_x = [0_i64; 3];
-    let mut step_y = [0_i64; 3];
-    let mut offsets = [[0_i64; S]; 3];
-    for k in 0..3 {
-        let (a, b, owns) = edge(shape, k);
-        let (a, b) = (i64::from(a), i64::from(b));
-        let from_x = i64::from(x0) * step - i64::from(shape.x[k]);
-        let from_y = i64::from(y0) * step - i64::from(shape.y[k]);
-        at_row[k] = a * from_x + b * from_y + i64::from(owns - 1);
-        (step_x[k], step_y[k]) = (a * step, b * step);
-        offsets[k] = samples.map(|sample| a * i64::from(sample[0]) + b * i64::from(sample[1]));
-    }
-    let lowest = offsets.map(|offset| offset.into_iter().min().unwrap_or(0));
-    let highest = offsets.map(|offset| offset.into_iter().max().unwrap_or(0));
-    let full = (1 << S) - 1;
-    for y in y0..=y1 {
-        let mut at = at_row;
-        for x in x0..=x1 {
-            let none = at[0].wrapping_add(highest[0])
-                | at[1].wrapping_add(highest[1])
-                | at[2].wrapping_add(highest[2]);
-            if none >= 0 {
-                let all = at[0].wrapping_add(lowest[0])
-                    | at[1].wrapping_add(lowest[1])
-                    | at[2].wrapping_add(lowest[2]);
-                let mut mask = full;
-                if all < 0 {
-                    let [first, second, third] = &offsets;
-                    mask = 0;
-                    for (s, ((&first, &second), &third)) in
-                        first.iter().zip(second).zip(third).enumerate()
-                    {
-                        let outside = at[0].wrapping_add(first)
-                            | at[1].wrapping_add(second)
-                            | at[2].wrapping_add(third);
-                        mask |= u32::from(outside >= 0) << s;
+        if tested != Tested::Vectors {
+            let (mut y, mut row_at) = (y0, 0_usize);
+            while y <= y1 {
+                let (mut x, mut at) = (x0, row_at);
+                while x <= x1 {
+                    for block in 0..BLOCKS {
+                        let bits = lanes.covered_singly(shape, pixels, x, y, block);
+                        if bits != 0 {
+                            let inside = mask32x8::from_bitmask(simd, bits);
+                            let at = at.wrapping_add(block.wrapping_mul(LANE_COUNT));
+                            visit(Covered { x, y, block, at, inside, bits });
+                        }
                     }
+                    x = x.wrapping_add(lanes.column_count);
+                    at = at.wrapping_add(vector_length);
                 }
-                if mask != 0 {
-                    visit(x, y, mask);
-                }
+                y = y.wrapping_add(1);
+                row_at = row_at.wrapping_add(row_length);
             }
-            for k in 0..3 {
-                at[k] = at[k].wrapping_add(step_x[k]);
+            return;
+        }
+    }
+    let [e0, e1, e2] = &edges;
+    let mut row = [[i32x8::splat(simd, 0); 3]; BLOCKS];
+    for (block, row) in row.iter_mut().enumerate() {
+        let [x, y] = [lanes.steps(simd, block, 0), lanes.steps(simd, block, 1)];
+        *row = [e0.lanes(x, y), e1.lanes(x, y), e2.lanes(x, y)];
+    }
+    let right = SUBPIXEL_COUNT.wrapping_mul(lanes.column_count);
+    let right = [
+        i32x8::splat(simd, e0.a.wrapping_mul(right)),
+        i32x8::splat(simd, e1.a.wrapping_mul(right)),
+        i32x8::splat(simd, e2.a.wrapping_mul(right)),
+    ];
+    let down = [
+        i32x8::splat(simd, e0.b.wrapping_mul(SUBPIXEL_COUNT)),
+        i32x8::splat(simd, e1.b.wrapping_mul(SUBPIXEL_COUNT)),
+        i32x8::splat(simd, e2.b.wrapping_mul(SUBPIXEL_COUNT)),
+    ];
+    let zero = i32x8::splat(simd, 0);
+    let columns = i32x8::simd_from(simd, lanes.columns);
+    let (mut y, mut row_at) = (y0, 0_usize);
+    while y <= y1 {
+        let mut here = row;
+        let (mut x, mut at) = (x0, row_at);
+        loop {
+            // a vector may reach beyond the box: there the difference is negative
+            let beyond = i32x8::splat(simd, x1.wrapping_sub(x)) - columns;
+            for (block, here) in here.iter_mut().enumerate() {
+                let [a, b, c] = *here;
+                let inside = (a | b | c | beyond).simd_ge(zero);
+                let bits = inside.to_bitmask();
+                if ALL || bits != 0 {
+                    let at = at.wrapping_add(block.wrapping_mul(LANE_COUNT));
+                    visit(Covered { x, y, block, at, inside, bits });
+                }
+                *here = [a + right[0], b + right[1], c + right[2]];
+            }
+            x = x.wrapping_add(lanes.column_count);
+            at = at.wrapping_add(vector_length);
+            if x > x1 {
+                break;
             }
         }
-        for k in 0..3 {
-            at_row[k] = at_row[k].wrapping_add(step_y[k]);
+        for row in &mut row {
+            let [a, b, c] = *row;
+            *row = [a + down[0], b + down[1], c + down[2]];
         }
+        y = y.wrapping_add(1);
+        row_at = row_at.wrapping_add(row_length);
     }
 }
 
-/// The axis-aligned rectangle `x[0]..=x[1]` by `y[0]..=y[1]`.
-#[inline]
-fn rectangle<const S: usize>(
-    shape: &Shape,
-    [x0, y0, x1, y1]: [i32; 4],
-    samples: &[SamplePosition; S],
-    mut visit: impl FnMut(i32, i32, u32),
-) {
-    for y in y0..=y1 {
-        for x in x0..=x1 {
-            let mut mask = 0;
-            for (s, sample) in samples.iter().enumerate() {
-                let at = [x * SUBPIXEL_COUNT + sample[0], y * SUBPIXEL_COUNT + sample[1]];
-                let inside = at[0] >= shape.x[0]
-                    && at[0] <= shape.x[1]
-                    && at[1] >= shape.y[0]
-                    && at[1] <= shape.y[1];
-                mask |= u32::from(inside) << s;
+/// How a shape's samples are found.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Tested {
+    /// There are none.
+    Nothing,
+    /// Eight at a time, in i32.
+    Vectors,
+    /// One by one: a rectangle, or in i64.
+    Singly,
+}
+
+/// An edge's function, which is negative outside: its value at a box's first pixel modulo 2^32 and
+/// its change a sub-pixel step.
+#[derive(Clone, Copy)]
+struct Edge {
+    at: i32,
+    a: i32,
+    b: i32,
+}
+
+impl Edge {
+    #[inline(always)]
+    fn new(shape: &Shape, from: usize, x: i32, y: i32) -> Self {
+        let to = if from == 2 { 0 } else { from.wrapping_add(1) };
+        let dx = shape.x[to].wrapping_sub(shape.x[from]);
+        let dy = shape.y[to].wrapping_sub(shape.y[from]);
+        // corners run clockwise with y down: inside is right of an edge that goes up, below one
+        // that goes right
+        let owns = (dy < 0) | ((dy == 0) & (dx > 0));
+        let from_x = x.wrapping_mul(SUBPIXEL_COUNT).wrapping_sub(shape.x[from]);
+        let from_y = y.wrapping_mul(SUBPIXEL_COUNT).wrapping_sub(shape.y[from]);
+        let (a, b) = (dy.wrapping_neg(), dx);
+        let at = a.wrapping_mul(from_x).wrapping_add(b.wrapping_mul(from_y));
+        // not negative is inside, also for edges that do not own their samples
+        Self { at: at.wrapping_add(i32::from(owns)).wrapping_sub(1), a, b }
+    }
+
+    /// Its values at some steps from the first pixel, modulo 2^32: exact for triangles under 64
+    /// pixels and for edges of [`Tested::Vectors`].
+    #[inline(always)]
+    fn lanes<S: Simd>(&self, x: i32x8<S>, y: i32x8<S>) -> i32x8<S> {
+        x * self.a + y * self.b + self.at
+    }
+
+    /// The whole value at a point in steps. Corners lie within 2^29 steps of the picture, so
+    /// products fit in i64 with room to spare.
+    fn exact(&self, shape: &Shape, from: usize, x: i32, y: i32) -> i64 {
+        let dx = i64::from(self.b);
+        let dy = -i64::from(self.a);
+        let owns = dy < 0 || (dy == 0 && dx > 0);
+        let from_x = i64::from(x) - i64::from(shape.x[from]);
+        let from_y = i64::from(y) - i64::from(shape.y[from]);
+        dx * from_y - dy * from_x + i64::from(owns) - 1
+    }
+
+    /// Puts edges that always hold in the place of those that do not cross the box, and says how
+    /// the others can be tested.
+    #[cold]
+    #[inline(never)]
+    fn leave_out_uncrossed(
+        edges: &mut [Self; 3],
+        shape: &Shape,
+        [x0, y0, x1, y1]: PixelBox,
+    ) -> Tested {
+        if shape.has(flags::RECT) {
+            return Tested::Singly;
+        }
+        // a vector may reach seven pixels beyond the box
+        let width = i64::from(x1 - x0 + 8) * i64::from(SUBPIXEL_COUNT);
+        let height = i64::from(y1 - y0 + 1) * i64::from(SUBPIXEL_COUNT);
+        let mut tested = Tested::Vectors;
+        for (from, edge) in edges.iter_mut().enumerate() {
+            let at = edge.exact(shape, from, x0 * SUBPIXEL_COUNT, y0 * SUBPIXEL_COUNT);
+            let change = i64::from(edge.a).abs() * width + i64::from(edge.b).abs() * height;
+            if at + change < 0 {
+                return Tested::Nothing;
             }
-            if mask != 0 {
-                visit(x, y, mask);
+            if at - change >= 0 {
+                *edge = Self { at: 0, a: 0, b: 0 };
+            } else if change >= MAX_CHANGE {
+                tested = Tested::Singly;
             }
         }
+        tested
     }
+}
+
+/// Whether a point in steps lies in the axis-aligned rectangle `x[0]..=x[1]` by `y[0]..=y[1]`.
+fn contains(shape: &Shape, x: i32, y: i32) -> bool {
+    (shape.x[0]..=shape.x[1]).contains(&x) && (shape.y[0]..=shape.y[1]).contains(&y)
 }

@@ -109,19 +109,16 @@ pub(crate) struct Planes {
     pub(crate) color8: Vec<[u8; 4]>,
 }
 
-fn reset<T: Copy + Send + Sync>(plane: &mut Vec<T>, wanted: bool, length: usize, value: T) {
-    plane.resize(if wanted { length } else { 0 }, value);
-    plane.par_iter_mut().with_min_len(MIN_PIXELS_PER_JOB).for_each(|pixel| *pixel = value);
-}
-
 impl Planes {
-    pub(crate) fn clear(&mut self, pixel_count: usize, outputs: Outputs) {
-        reset(&mut self.color, outputs.color || outputs.color8, pixel_count, Vec4::ZERO);
-        reset(&mut self.depth, outputs.depth || outputs.ids, pixel_count, f32::INFINITY);
-        reset(&mut self.ids, outputs.ids, pixel_count, EMPTY_ID);
-        reset(&mut self.normal, outputs.normal, pixel_count, Vec4::ZERO);
-        reset(&mut self.albedo, outputs.albedo, pixel_count, Vec4::ZERO);
-        reset(&mut self.color8, outputs.color8, pixel_count, [0; 4]);
+    /// Makes the planes that are wanted as long as the picture; what they hold is overwritten.
+    pub(crate) fn resize(&mut self, pixel_count: usize, outputs: Outputs) {
+        let length = |wanted: bool| if wanted { pixel_count } else { 0 };
+        self.color.resize(length(outputs.color || outputs.color8), Vec4::ZERO);
+        self.depth.resize(length(outputs.depth || outputs.ids), f32::INFINITY);
+        self.ids.resize(length(outputs.ids), EMPTY_ID);
+        self.normal.resize(length(outputs.normal), Vec4::ZERO);
+        self.albedo.resize(length(outputs.albedo), Vec4::ZERO);
+        self.color8.resize(length(outputs.color8), [0; 4]);
     }
 
     /// Puts a premultiplied colour behind everything and encodes the 8-bit plane.

@@ -9,9 +9,12 @@
 //! Christopher Burns, Warren Hunt. The Visibility Buffer. 2013 (colour once it is known what is seen)
 
 mod clip;
+mod colors;
 mod coverage;
 mod frame;
+mod grid;
 mod naive;
+mod placing;
 pub mod samples;
 mod setup;
 mod shade;
@@ -20,6 +23,7 @@ mod soups;
 #[cfg(test)]
 mod tests;
 mod tile;
+mod visible;
 
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
@@ -35,14 +39,15 @@ use crate::draw_list::{Blend, DrawList};
 use crate::error::{LodError, check_finite, check_limit};
 use crate::job::Job;
 use crate::raster::frame::Planes;
+use crate::raster::grid::Grid;
 use crate::raster::samples::SamplePosition;
-use crate::raster::setup::{Grid, Segment, Unit};
-use crate::raster::tile::{Scene, TileBuffer, TileTarget};
+use crate::raster::setup::{Segment, Unit};
+use crate::raster::tile::{Scene, TileBuffer, TileTarget, leave_blank};
 use crate::simd::Level;
 use crate::view::View;
 
 /// Units set up at once: about a million primitives, a few hundred megabytes.
-pub const MAX_BATCH_UNITS: usize = 512;
+pub const MAX_BATCH_UNITS: usize = 256;
 
 /// Sample memory that lists of several batches may hold at once; larger pictures go in bands.
 const MAX_BAND_BYTES: u64 = 1 << 29;
@@ -129,24 +134,27 @@ impl Renderer {
         let positions = samples::positions(settings.sample_count)?;
         let mut stats = Stats { thread_count: rayon::current_num_threads(), ..Stats::default() };
         stats.count(list);
+        let level = self.simd.map_or_else(Level::chosen, Ok)?;
         let start = Instant::now();
         let length = usize::try_from(pixel_count).expect("checked above");
-        self.planes.clear(length, settings.outputs);
+        self.planes.resize(length, settings.outputs);
         let cut = setup::cut(list);
         let weight = 1.0 / settings.sample_count as f32;
         // sets of 1, 4, 8 or 16 are one pass; longer ones are passes of 16 and of what is left
         let mut left = &positions[..];
+        let mut first = true;
         while !left.is_empty() {
             let size = [16, 8, 4, 1].into_iter().find(|&size| size <= left.len());
             let (pass, rest) = left.split_at(size.expect("at least one position is left"));
             left = rest;
-            let mut pass_with = PassState { list, view, settings, cut: &cut, weight, job };
+            let state = PassState { list, view, settings, cut: &cut, weight, first, level, job };
             match pass.len() {
-                1 => self.pass::<1>(&mut pass_with, pass, &mut stats)?,
-                4 => self.pass::<4>(&mut pass_with, pass, &mut stats)?,
-                8 => self.pass::<8>(&mut pass_with, pass, &mut stats)?,
-                _ => self.pass::<16>(&mut pass_with, pass, &mut stats)?,
+                1 => self.pass::<1>(&state, pass, &mut stats)?,
+                4 => self.pass::<4>(&state, pass, &mut stats)?,
+                8 => self.pass::<8>(&state, pass, &mut stats)?,
+                _ => self.pass::<16>(&state, pass, &mut stats)?,
             }
+            first = false;
         }
         self.planes.finish(settings.background);
         stats.draw_millis = start.elapsed().as_secs_f64() * 1e3;
@@ -156,12 +164,12 @@ impl Renderer {
     /// Adds the samples of one set of positions to the picture.
     fn pass<const S: usize>(
         &mut self,
-        state: &mut PassState<'_>,
+        state: &PassState<'_>,
         positions: &[SamplePosition],
         stats: &mut Stats,
     ) -> Result<(), LodError> {
         let samples: [SamplePosition; S] = positions.try_into().expect("S positions");
-        let PassState { list, view, settings, cut, weight, job } = *state;
+        let PassState { list, view, settings, cut, weight, first, level, job } = *state;
         let outputs = Outputs {
             color: settings.outputs.color || settings.outputs.color8,
             depth: settings.outputs.depth || settings.outputs.ids,
@@ -193,16 +201,25 @@ impl Renderer {
                 });
             }
             let mut targets = split(planes, &grid, view);
+            if batches.is_empty() && first {
+                targets.par_iter_mut().for_each(leave_blank);
+            }
             for (number, batch) in batches.iter().enumerate() {
-                let units = set_up(units, batch, list, view, &grid, job)?;
+                let units = set_up(units, batch, state, &grid)?;
                 stats.vertex_count += units.iter().map(|unit| unit.vertex_count).sum::<u64>();
-                let scene = Scene::new(list, view, units, grid, samples, outputs);
+                let scene = Scene::new(level, list, view, units, grid, &samples, outputs);
                 let last = number + 1 == batches.len();
                 let fragments: Result<Vec<u64>, LodError> = targets
                     .par_iter_mut()
                     .enumerate()
                     .map(|(tile, target)| {
                         job.check()?;
+                        if one_batch && scene.is_empty(tile) {
+                            if first {
+                                leave_blank(target);
+                            }
+                            return Ok(0);
+                        }
                         let mut buffer = buffer_of(tile);
                         if one_batch {
                             buffer.clear(&grid, S, outputs, layered);
@@ -216,7 +233,7 @@ impl Renderer {
                             buffer.find_half_opacity(&scene, tile);
                         }
                         if last && (one_batch || !(blends && outputs.depth)) {
-                            buffer.resolve(&scene, tile, weight, target);
+                            buffer.resolve(&scene, tile, weight, first, target);
                         }
                         Ok(buffer.fragment_count)
                     })
@@ -226,14 +243,14 @@ impl Renderer {
             if !one_batch && blends && outputs.depth {
                 // nearest first: the batches again, last to first
                 for (number, batch) in batches.iter().enumerate().rev() {
-                    let units = set_up(units, batch, list, view, &grid, job)?;
-                    let scene = Scene::new(list, view, units, grid, samples, outputs);
+                    let units = set_up(units, batch, state, &grid)?;
+                    let scene = Scene::new(level, list, view, units, grid, &samples, outputs);
                     targets.par_iter_mut().enumerate().try_for_each(|(tile, target)| {
                         job.check()?;
                         let mut buffer = buffer_of(tile);
                         buffer.find_half_opacity(&scene, tile);
                         if number == 0 {
-                            buffer.resolve(&scene, tile, weight, target);
+                            buffer.resolve(&scene, tile, weight, first, target);
                         }
                         Ok(())
                     })?;
@@ -252,6 +269,9 @@ struct PassState<'a> {
     settings: &'a Settings,
     cut: &'a [Vec<Segment>],
     weight: f32,
+    /// Whether the picture holds nothing yet, not even zeros.
+    first: bool,
+    level: Level,
     job: &'a Job,
 }
 
@@ -281,16 +301,15 @@ fn bands(
 fn set_up<'a>(
     units: &'a mut Vec<Unit>,
     batch: &[Vec<Segment>],
-    list: &DrawList,
-    view: &View,
+    state: &PassState<'_>,
     grid: &Grid,
-    job: &Job,
 ) -> Result<&'a [Unit], LodError> {
+    let PassState { list, view, level, job, .. } = *state;
     units.resize_with(batch.len().max(units.len()), Unit::default);
     let used = &mut units[..batch.len()];
     used.par_iter_mut().zip(batch).try_for_each(|(unit, segments)| {
         job.check()?;
-        unit.build(list, view, grid, segments);
+        unit.build(level, list, view, grid, segments);
         Ok(())
     })?;
     Ok(used)

@@ -9,10 +9,12 @@ use crate::draw_list::{Blend, DrawList};
 use crate::error::LodError;
 use crate::job::Job;
 use crate::raster::frame::{EMPTY_ID, Frame};
+use crate::raster::grid::Grid;
 use crate::raster::samples::{self, SUBPIXEL_COUNT};
-use crate::raster::setup::{Grid, Shape, Unit, cut, flags};
+use crate::raster::setup::{Shape, Unit, cut, flags};
 use crate::raster::shade::{Material, Weigher};
 use crate::raster::tile::slab_keys;
+use crate::simd::Level;
 use crate::view::View;
 
 /// Draws colour, depth and ids, shading every sample by itself.
@@ -27,6 +29,7 @@ pub fn draw_naive(
 ) -> Result<Frame, LodError> {
     list.check()?;
     let positions = samples::positions(sample_count)?;
+    let level = Level::named("simd", "scalar")?;
     let side = view.width.max(view.height).next_power_of_two();
     let side = i32::try_from(side).expect("at most 16384");
     let grid = Grid::new(view, side, 0..1, &positions);
@@ -34,7 +37,7 @@ pub fn draw_naive(
         .iter()
         .map(|segments| {
             let mut unit = Unit::default();
-            unit.build(list, view, &grid, segments);
+            unit.build(level, list, view, &grid, segments);
             unit
         })
         .collect();
@@ -71,7 +74,7 @@ fn sample(list: &DrawList, view: &View, units: &[Unit], at: [i32; 2]) -> (Vec4, 
     // (key, alpha, id) of blended shapes, in paint order
     let mut blended: Vec<(f32, f32, u32)> = Vec::new();
     for unit in units {
-        for shape in &unit.shapes {
+        for (index, shape) in unit.shapes.iter().enumerate() {
             if !contains(shape, at) {
                 continue;
             }
@@ -83,7 +86,8 @@ fn sample(list: &DrawList, view: &View, units: &[Unit], at: [i32; 2]) -> (Vec4, 
             if key <= nearest || key <= lowest || key > highest {
                 continue;
             }
-            let weigher = Weigher::new(view, &material, unit, shape);
+            let weigher = Weigher::new(view, &material, unit, index);
+            let source_id = material.source_id(unit.origins[index].primitive);
             let lod = material.lod(&weigher, center);
             let alpha = material.alpha(&weigher, point, lod);
             let source = material.shade(shape, &weigher, point, lod, [true, false, false])[0];
@@ -92,13 +96,13 @@ fn sample(list: &DrawList, view: &View, units: &[Unit], at: [i32; 2]) -> (Vec4, 
                 Blend::Test(cutoff) => alpha >= cutoff,
                 Blend::Over => {
                     color = source + color * (1.0 - source.w);
-                    blended.push((key, alpha.clamp(0.0, 1.0), material.source_id(shape)));
+                    blended.push((key, alpha.clamp(0.0, 1.0), source_id));
                     continue;
                 }
             };
             if hides {
                 color = source;
-                (nearest, id) = (key, material.source_id(shape));
+                (nearest, id) = (key, source_id);
             }
         }
     }
@@ -122,7 +126,7 @@ fn sample(list: &DrawList, view: &View, units: &[Unit], at: [i32; 2]) -> (Vec4, 
 
 /// Whether a shape covers a point, by the definition of the top-left rule.
 fn contains(shape: &Shape, [x, y]: [i32; 2]) -> bool {
-    if shape.flags & flags::RECT != 0 {
+    if shape.has(flags::RECT) {
         return (shape.x[0]..=shape.x[1]).contains(&x) && (shape.y[0]..=shape.y[1]).contains(&y);
     }
     (0..3).all(|from| {

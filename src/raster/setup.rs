@@ -2,52 +2,48 @@
 //!
 //! The list is cut into units of consecutive primitives; units are independent, so they are built in
 //! parallel and drawn in order. Corners are snapped to 1/256 pixel for coverage; depth and attributes
-//! come from the corners as they were. A triangle that reaches behind the near plane or far outside
-//! the picture is clipped in f64.
+//! come from the corners as they were. Eight triangles are set up at once; those that reach behind
+//! the near plane or far outside the picture are clipped in f64, one by one, at their place in the
+//! order.
 
 use std::ops::Range;
 
-use glam::{DMat3, Mat3, Vec3};
+use fearless_simd::prelude::*;
+use fearless_simd::{f32x8, i32x8};
+use glam::Vec3;
 
 use crate::draw_list::{DrawList, Item, Primitive};
-use crate::raster::clip::{ClipSpace, clip_polygon};
-use crate::raster::samples::{SUBPIXEL_BITS, SUBPIXEL_COUNT, SamplePosition};
-use crate::texture::texture::floor_to_i32;
+use crate::raster::clip::clip_polygon;
+use crate::raster::grid::{Grid, pixel_u16};
+use crate::raster::placing::{Chosen, GUARD_PX, Placing, ScreenVertex, snap};
+use crate::raster::samples::{SUBPIXEL_BITS, SUBPIXEL_COUNT};
+use crate::simd::{Kernel, LANE_COUNT, Level};
 use crate::view::View;
 
 /// Primitives a unit holds: enough to pay for its tile table, few enough to share among threads.
-pub(crate) const UNIT_PRIMITIVE_COUNT: u32 = 2048;
+pub(crate) const UNIT_PRIMITIVE_COUNT: u32 = 4096;
 
-/// Corners further out than this many pixels are clipped, so that fixed-point sums fit in i64.
-const GUARD_PX: f32 = 1_048_576.0;
-
-/// A vertex on the picture.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ScreenVertex {
-    /// Pixels.
-    pub(crate) x: f32,
-    pub(crate) y: f32,
-    /// Grows towards the viewer: 1 / depth (perspective) or -depth (orthographic). NaN: to be
-    /// clipped.
-    pub(crate) key: f32,
-    /// Index into the item's vertex arrays.
-    pub(crate) source: u32,
-}
+/// Triangles under this many sub-pixel steps a side, 64 pixels, have edge functions that fit in i32.
+const WIDE: i32 = 1 << 14;
 
 /// What a shape is, beside its corners.
 pub(crate) mod flags {
     /// The counter-clockwise side is seen.
-    pub(crate) const FRONT: u8 = 1;
+    pub(crate) const FRONT: u32 = 1;
     /// `vertices` index the item's arrays; attributes come from f64 clip space.
-    pub(crate) const CLIPPED: u8 = 2;
+    pub(crate) const CLIPPED: u32 = 2;
     /// An axis-aligned rectangle: `x[0]..=x[1]` by `y[0]..=y[1]`.
-    pub(crate) const RECT: u8 = 4;
-    /// Fixed-point sums need i64.
-    pub(crate) const WIDE: u8 = 8;
+    pub(crate) const RECT: u32 = 4;
+    /// Edge functions may need i64.
+    pub(crate) const WIDE: u32 = 8;
 }
 
-/// A triangle or rectangle ready to be drawn.
+/// Bits of a shape's tag that hold flags; its segment is in the others.
+const FLAG_BITS: u32 = 8;
+
+/// What a triangle or rectangle needs to be drawn: one cache line.
 #[derive(Clone, Debug)]
+#[repr(align(64))]
 pub(crate) struct Shape {
     /// Snapped corners, clockwise as seen on the picture (y down), in sub-pixel steps.
     pub(crate) x: [i32; 3],
@@ -58,13 +54,29 @@ pub(crate) struct Shape {
     pub(crate) origin: [f32; 2],
     /// Pixels of the picture that it can touch: x0, y0, x1, y1, ends inclusive.
     pub(crate) pixels: [u16; 4],
-    /// Indices into the unit's `vertices`, in the item's order of corners.
+    /// Index into the unit's `segments`, and `flags`.
+    tag: u32,
+}
+
+impl Shape {
+    pub(crate) fn has(&self, flag: u32) -> bool {
+        self.tag & flag != 0
+    }
+
+    /// Index into the unit's `segments`.
+    pub(crate) fn segment(&self) -> u32 {
+        self.tag >> FLAG_BITS
+    }
+}
+
+/// Where a shape comes from: what only its colour needs.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Origin {
+    /// Indices into the unit's `vertices`, in the item's order of corners; into the item's arrays
+    /// for [`flags::CLIPPED`].
     pub(crate) vertices: [u32; 3],
     /// Index of the primitive in the item's index buffer.
     pub(crate) primitive: u32,
-    /// Index into the unit's `segments`.
-    pub(crate) segment: u32,
-    pub(crate) flags: u8,
 }
 
 /// Consecutive primitives of one item, for one instance.
@@ -81,6 +93,8 @@ pub(crate) struct Unit {
     pub(crate) segments: Vec<Segment>,
     pub(crate) vertices: Vec<ScreenVertex>,
     pub(crate) shapes: Vec<Shape>,
+    /// One a shape.
+    pub(crate) origins: Vec<Origin>,
     /// Shapes of tile `t`: `tile_shapes[tile_offsets[t]..tile_offsets[t + 1]]`, in order.
     tile_offsets: Vec<u32>,
     tile_shapes: Vec<u32>,
@@ -88,206 +102,31 @@ pub(crate) struct Unit {
     pub(crate) vertex_count: u64,
 }
 
-/// The picture's grid of tiles and the rows that are drawn now.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Grid {
-    pub(crate) width: i32,
-    pub(crate) height: i32,
-    /// Pixels a tile's side, a power of two.
-    pub(crate) tile: i32,
-    tile_bits: u32,
-    pub(crate) columns: i32,
-    /// Tile rows drawn, end exclusive.
-    pub(crate) first_row: i32,
-    pub(crate) last_row: i32,
-    /// Smallest and largest sample position inside a pixel, in sub-pixel steps, x then y.
-    sample_low: [i32; 2],
-    sample_high: [i32; 2],
-}
-
-impl Grid {
-    pub(crate) fn new(
-        view: &View,
-        tile: i32,
-        rows: Range<i32>,
-        samples: &[SamplePosition],
-    ) -> Self {
-        let width = i32::try_from(view.width).expect("at most 16384");
-        let height = i32::try_from(view.height).expect("at most 16384");
-        let bound = |axis: usize| {
-            let positions = samples.iter().map(|p| p[axis]);
-            (positions.clone().min().unwrap_or(0), positions.max().unwrap_or(SUBPIXEL_COUNT - 1))
-        };
-        let ((low_x, high_x), (low_y, high_y)) = (bound(0), bound(1));
-        Self {
-            width,
-            height,
-            tile,
-            tile_bits: tile.trailing_zeros(),
-            columns: (width + tile - 1) / tile,
-            first_row: rows.start,
-            last_row: rows.end,
-            sample_low: [low_x, low_y],
-            sample_high: [high_x, high_y],
-        }
-    }
-
-    pub(crate) fn tile_count(&self) -> usize {
-        usize::try_from(self.columns * (self.last_row - self.first_row)).expect("not negative")
-    }
-
-    fn column_count(&self) -> usize {
-        usize::try_from(self.columns).expect("not negative")
-    }
-
-    /// Rows of tiles that a shape touches, counted from the first drawn.
-    #[inline]
-    fn tile_rows(&self, shape: &Shape) -> std::ops::RangeInclusive<usize> {
-        let first = usize::try_from(self.first_row).expect("not negative");
-        let [_, y0, _, y1] = shape.pixels;
-        (usize::from(y0) >> self.tile_bits) - first..=(usize::from(y1) >> self.tile_bits) - first
-    }
-
-    /// Columns of tiles that a shape touches.
-    #[inline]
-    fn tile_columns(&self, shape: &Shape) -> std::ops::RangeInclusive<usize> {
-        let [x0, _, x1, _] = shape.pixels;
-        usize::from(x0) >> self.tile_bits..=usize::from(x1) >> self.tile_bits
-    }
-
-    /// Pixel box (x0, y0, x1, y1; ends exclusive) of a tile.
-    pub(crate) fn tile_box(&self, tile: usize) -> [i32; 4] {
-        let tile = i32::try_from(tile).expect("inside the grid");
-        let x0 = tile % self.columns * self.tile;
-        let y0 = (tile / self.columns + self.first_row) * self.tile;
-        [x0, y0, (x0 + self.tile).min(self.width), (y0 + self.tile).min(self.height)]
-    }
-
-    /// Pixels on one axis whose samples can lie in `low..=high` (sub-pixel steps).
-    #[inline]
-    fn pixels(&self, axis: usize, low: i32, high: i32) -> (i32, i32) {
-        let first = (low - self.sample_high[axis] + SUBPIXEL_COUNT - 1) >> SUBPIXEL_BITS;
-        let last = (high - self.sample_low[axis]) >> SUBPIXEL_BITS;
-        (first, last)
-    }
-
-    /// Pixels (x0, y0, x1, y1; ends inclusive) of the drawn rows with samples in a box of sub-pixel
-    /// steps (ends inclusive).
-    #[inline]
-    fn pixel_box(&self, low: [i32; 2], high: [i32; 2]) -> Option<[u16; 4]> {
-        let (x0, x1) = self.pixels(0, low[0], high[0]);
-        let (y0, y1) = self.pixels(1, low[1], high[1]);
-        let (x0, x1) = (x0.max(0), x1.min(self.width - 1));
-        let y0 = y0.max(self.first_row * self.tile);
-        let y1 = y1.min(self.height.min(self.last_row * self.tile) - 1);
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 16384")]
-        let pixels = [x0 as u16, y0 as u16, x1 as u16, y1 as u16];
-        (x0 <= x1 && y0 <= y1).then_some(pixels)
-    }
-}
-
-/// From local coordinates to the picture, for one instance.
-pub(crate) struct Placing {
-    rows: [Vec3; 3],
-    offset: Vec3,
-    center: [f32; 2],
-    near: f32,
-    perspective: bool,
-    mirrored: bool,
-    /// The same in f64, for clipping.
-    pub(crate) exact: ClipSpace,
-    linear: Mat3,
-    translation: Vec3,
-    back: Vec3,
-    normals: Mat3,
-}
-
-impl Placing {
-    #[expect(clippy::cast_possible_truncation, reason = "planes and picture sides in f32")]
-    pub(crate) fn new(view: &View, linear: Mat3, translation: Vec3) -> Self {
-        let scale = view.pixels_per_metre_at_one();
-        let axes = DMat3::from_cols(
-            view.right * (scale * view.pixel_aspect),
-            -view.up * scale,
-            -view.back,
-        )
-        .transpose();
-        let local = (axes * linear.as_dmat3()).transpose();
-        let rows = [local.x_axis, local.y_axis, local.z_axis];
-        let offset = axes * translation.as_dvec3();
-        let center = [f64::from(view.width) * 0.5, f64::from(view.height) * 0.5];
-        let perspective = !view.is_orthographic();
-        Self {
-            rows: rows.map(|row| row.as_vec3()),
-            offset: offset.as_vec3(),
-            center: center.map(|c| c as f32),
-            near: view.near as f32,
-            perspective,
-            mirrored: linear.determinant() < 0.0,
-            exact: ClipSpace { rows, offset, center, near: view.near, perspective },
-            linear,
-            translation,
-            back: view.back.as_vec3(),
-            normals: normal_matrix(linear),
-        }
-    }
-
-    #[inline]
-    fn vertex(&self, position: Vec3, source: u32) -> ScreenVertex {
-        let x = self.rows[0].dot(position) + self.offset.x;
-        let y = self.rows[1].dot(position) + self.offset.y;
-        let z = self.rows[2].dot(position) + self.offset.z;
-        let (x, y, key) = if self.perspective {
-            let inverse = 1.0 / z;
-            (x * inverse + self.center[0], y * inverse + self.center[1], inverse)
-        } else {
-            (x + self.center[0], y + self.center[1], -z)
-        };
-        let inside = z >= self.near && x.abs() <= GUARD_PX && y.abs() <= GUARD_PX;
-        ScreenVertex { x, y, key: if inside { key } else { f32::NAN }, source }
-    }
-
-    /// [`flags::FRONT`] if a point's normal leans towards the eye or is zero.
-    fn side_seen(&self, position: Vec3, normal: Vec3) -> u8 {
-        let to_eye =
-            if self.perspective { -(self.linear * position + self.translation) } else { self.back };
-        if (self.normals * normal).dot(to_eye) < 0.0 { 0 } else { flags::FRONT }
-    }
-
-    /// [`flags::FRONT`] for corners that run counter-clockwise as stored.
-    fn stored_winding(&self) -> u8 {
-        if self.mirrored { 0 } else { flags::FRONT }
-    }
-}
-
-/// How normals turn under a linear map: the cofactors, so that they stay upright on a surface that
-/// is stretched or mirrored. Their lengths change.
-pub(crate) fn normal_matrix(linear: Mat3) -> Mat3 {
-    let Mat3 { x_axis: x, y_axis: y, z_axis: z } = linear;
-    let sign = if linear.determinant() < 0.0 { -1.0 } else { 1.0 };
-    Mat3::from_cols(y.cross(z) * sign, z.cross(x) * sign, x.cross(y) * sign)
-}
-
-/// Nearest sub-pixel step; half a step rounds up.
-#[inline]
-fn snap(pixels: f32) -> i32 {
-    floor_to_i32(pixels * SUBPIXEL_COUNT as f32 + 0.5)
-}
-
 /// What the primitives of one segment have in common while they are set up.
 struct Context<'a> {
+    level: Level,
     list: &'a DrawList,
     item: &'a Item,
     grid: &'a Grid,
     placing: Placing,
-    segment: u32,
+    /// Index of the segment, in its place in a tag.
+    tag: u32,
     primitives: Range<u32>,
+}
+
+/// Triangles that wait to be set up together.
+#[derive(Default)]
+struct Batch {
+    corners: [[u32; 3]; LANE_COUNT],
+    primitives: [u32; LANE_COUNT],
+    length: usize,
 }
 
 impl Unit {
     /// Sets up the segments; `self` may hold an earlier unit, whose memory is used again.
     pub(crate) fn build(
         &mut self,
+        level: Level,
         list: &DrawList,
         view: &View,
         grid: &Grid,
@@ -297,20 +136,23 @@ impl Unit {
         self.segments.extend_from_slice(segments);
         self.vertices.clear();
         self.shapes.clear();
+        self.origins.clear();
         self.vertex_count = 0;
         for (number, segment) in (0_u32..).zip(segments) {
             let item = &list.items[segment.item as usize];
             let instance = &list.instances[segment.instance as usize];
             let context = Context {
+                level,
                 list,
                 item,
                 grid,
                 placing: Placing::new(view, instance.linear, instance.translation),
-                segment: number,
+                tag: number << FLAG_BITS,
                 primitives: segment.primitives.clone(),
             };
             match item.primitive {
-                Primitive::Triangles | Primitive::Cards => self.triangles(&context),
+                Primitive::Triangles => self.triangles::<3>(&context),
+                Primitive::Cards => self.triangles::<4>(&context),
                 Primitive::Lines { width_px } => self.lines(&context, width_px),
                 Primitive::Points { size_px } => self.points(&context, size_px),
             }
@@ -318,13 +160,12 @@ impl Unit {
         self.sort_into_tiles(grid);
     }
 
-    fn triangles(&mut self, context: &Context<'_>) {
-        let Context { list, item, placing, primitives, .. } = context;
+    /// Triangles, or cards of `CORNERS` = 4.
+    fn triangles<const CORNERS: usize>(&mut self, context: &Context<'_>) {
+        let Context { level, list, item, placing, primitives, .. } = context;
         let positions = &list.vertices_of(item).positions;
-        let corner_count = item.primitive.index_count();
-        let first = primitives.start as usize * corner_count;
-        let last = primitives.end as usize * corner_count;
-        let indices = &list.indices_of(item).indices[first..last];
+        let range = primitives.start as usize * CORNERS..primitives.end as usize * CORNERS;
+        let indices = &list.indices_of(item).indices[range];
         if indices.is_empty() {
             return;
         }
@@ -334,71 +175,96 @@ impl Unit {
             indices.iter().fold((u32::MAX, 0), |(low, high), &v| (low.min(v), high.max(v)));
         let span = (high - low) as usize + 1;
         let shared = span <= indices.len();
-        let base = u32::try_from(self.vertices.len()).expect("a unit is small");
-        if shared {
-            let spanned = &positions[low as usize..low as usize + span];
-            let placed = (low..).zip(spanned).map(|(source, &p)| placing.vertex(p, source));
-            self.vertices.extend(placed);
+        let base = u32_from(self.vertices.len());
+        let chosen = if shared {
+            Chosen::Range(&positions[low as usize..low as usize + span], low)
         } else {
-            let placed = indices.iter().map(|&v| placing.vertex(positions[v as usize], v));
-            self.vertices.extend(placed);
-        }
+            Chosen::Indexed(positions, indices)
+        };
+        placing.vertices(*level, chosen, &mut self.vertices);
         self.vertex_count += self.vertices.len() as u64 - u64::from(base);
+        let mut batch = Batch::default();
         let mut next = base;
-        for (primitive, corners) in primitives.clone().zip(indices.chunks_exact(corner_count)) {
-            let mut at = [0; 4];
-            for (slot, &vertex) in at.iter_mut().zip(corners) {
-                *slot = if shared { base + vertex - low } else { next };
-                next += 1;
+        let shift = base.wrapping_sub(low);
+        for (primitive, corners) in primitives.clone().zip(indices.as_chunks::<CORNERS>().0) {
+            let at = |corner: usize| {
+                let alone = next.wrapping_add(u32_from(corner));
+                if shared { corners[corner].wrapping_add(shift) } else { alone }
+            };
+            self.push(context, positions, &mut batch, [at(0), at(1), at(2)], primitive);
+            if CORNERS == 4 {
+                self.push(context, positions, &mut batch, [at(0), at(2), at(3)], primitive);
             }
-            self.triangle(context, positions, primitive, [at[0], at[1], at[2]]);
-            if corner_count == 4 {
-                self.triangle(context, positions, primitive, [at[0], at[2], at[3]]);
-            }
+            next = next.wrapping_add(u32_from(CORNERS));
         }
+        self.flush(context, positions, &mut batch);
     }
 
     #[inline]
-    fn triangle(
+    fn push(
         &mut self,
         context: &Context<'_>,
         positions: &[Vec3],
+        batch: &mut Batch,
+        corners: [u32; 3],
         primitive: u32,
-        vertices: [u32; 3],
     ) {
-        let corners = vertices.map(|v| self.vertices[v as usize]);
-        if corners.iter().any(|c| c.key.is_nan()) {
-            self.clipped_triangle(context, positions, primitive, corners.map(|c| c.source));
-            return;
+        let lane = batch.length % LANE_COUNT;
+        batch.corners[lane] = corners;
+        batch.primitives[lane] = primitive;
+        batch.length = lane.wrapping_add(1);
+        if batch.length == LANE_COUNT {
+            self.flush(context, positions, batch);
         }
-        let points = corners.map(|c| [c.x, c.y, c.key]);
-        let winding = context.placing.stored_winding();
-        self.shapes.extend(shape(
-            points,
-            vertices,
-            context.segment,
-            primitive,
-            winding,
-            context.grid,
-        ));
     }
 
-    /// The part of a triangle in front of the near plane and near the picture.
+    /// Sets up the waiting triangles.
+    #[inline(never)]
+    fn flush(&mut self, context: &Context<'_>, positions: &[Vec3], batch: &mut Batch) {
+        context.level.run(SetUp { unit: self, context, positions, batch });
+        batch.length = 0;
+    }
+
+    /// A triangle that is large or reaches out of what can be drawn.
     #[cold]
-    fn clipped_triangle(
+    fn triangle_alone(
         &mut self,
         context: &Context<'_>,
         positions: &[Vec3],
+        vertices: [u32; 3],
         primitive: u32,
-        sources: [u32; 3],
     ) {
+        let corners = vertices.map(|v| self.vertices[v as usize]);
+        let winding = context.placing.stored_winding();
+        if !corners.iter().any(|c| c.key.is_nan()) {
+            let points = corners.map(|c| [c.x, c.y, c.key]);
+            self.extend(context, points, vertices, primitive, winding);
+            return;
+        }
+        let sources = corners.map(|c| c.source);
         let local = sources.map(|v| positions[v as usize].as_dvec3());
         let polygon = clip_polygon(&context.placing.exact, local, f64::from(GUARD_PX));
-        let winding = context.placing.stored_winding() | flags::CLIPPED;
         for pair in polygon.windows(2).skip(1) {
             let points = [polygon[0], pair[0], pair[1]];
-            let made = shape(points, sources, context.segment, primitive, winding, context.grid);
-            self.shapes.extend(made);
+            self.extend(context, points, sources, primitive, winding | flags::CLIPPED);
+        }
+    }
+
+    /// Appends a triangle of corners (x, y, key) if a sample may be covered.
+    ///
+    /// `winding` has [`flags::FRONT`] if corners that run counter-clockwise on the picture show the
+    /// front.
+    fn extend(
+        &mut self,
+        context: &Context<'_>,
+        points: [[f32; 3]; 3],
+        vertices: [u32; 3],
+        primitive: u32,
+        winding: u32,
+    ) {
+        if let Some(shape) = triangle(points, context.tag | winding, context.grid) {
+            self.shapes.push(shape);
+            self.origins.push(Origin { vertices, primitive });
         }
     }
 
@@ -421,11 +287,9 @@ impl Unit {
             }
             let half = width_px * 0.5 / length;
             let across = [-along[1] * half, along[0] * half];
-            let corner = |end: [f32; 3], sign: f32, source: u32| ScreenVertex {
-                x: end[0] + sign * across[0],
-                y: end[1] + sign * across[1],
-                key: end[2],
-                source,
+            let corner = |end: [f32; 3], sign: f32, source: u32| {
+                let (x, y) = (end[0] + sign * across[0], end[1] + sign * across[1]);
+                ScreenVertex { x, y, key: end[2], source, snapped: [snap(x), snap(y)] }
             };
             let quad = [
                 corner(a, -1.0, ends[0]),
@@ -442,24 +306,27 @@ impl Unit {
             for corners in [[0_u8, 1, 2], [0, 2, 3]] {
                 let points = corners.map(|c| quad[usize::from(c)]).map(|c| [c.x, c.y, c.key]);
                 let vertices = corners.map(|c| base + u32::from(c));
-                let made = shape(points, vertices, context.segment, primitive, 0, context.grid);
-                let sided =
-                    |made: Shape| Shape { flags: made.flags & !flags::FRONT | side, ..made };
-                self.shapes.extend(made.map(sided));
+                let first = self.shapes.len();
+                self.extend(context, points, vertices, primitive, 0);
+                for shape in &mut self.shapes[first..] {
+                    shape.tag = shape.tag & !flags::FRONT | side;
+                }
             }
         }
     }
 
     fn points(&mut self, context: &Context<'_>, size_px: f32) {
-        let Context { list, item, placing, .. } = context;
+        let Context { level, list, item, placing, primitives, .. } = context;
         let buffers = list.vertices_of(item);
-        let indices = &list.indices_of(item).indices;
+        let range = primitives.start as usize..primitives.end as usize;
+        let indices = &list.indices_of(item).indices[range];
         let half = size_px * 0.5;
-        for primitive in context.primitives.clone() {
-            let source = indices[primitive as usize];
-            let local = buffers.positions[source as usize];
-            let vertex = placing.vertex(local, source);
-            self.vertex_count += 1;
+        let base = self.vertices.len();
+        let chosen = Chosen::Indexed(&buffers.positions, indices);
+        placing.vertices(*level, chosen, &mut self.vertices);
+        self.vertex_count += indices.len() as u64;
+        for (at, primitive) in (base..).zip(primitives.clone()) {
+            let vertex = self.vertices[at];
             if vertex.key.is_nan() {
                 continue;
             }
@@ -470,7 +337,8 @@ impl Unit {
                 continue;
             }
             let Some(pixels) = context.grid.pixel_box(low, high) else { continue };
-            let side = placing.side_seen(local, buffers.normals[source as usize]);
+            let source = vertex.source as usize;
+            let side = placing.side_seen(buffers.positions[source], buffers.normals[source]);
             self.shapes.push(Shape {
                 x: [low[0], high[0], 0],
                 y: [low[1], high[1], 0],
@@ -478,41 +346,55 @@ impl Unit {
                 key_range: [vertex.key; 2],
                 origin: [vertex.x, vertex.y],
                 pixels,
-                vertices: [u32::try_from(self.vertices.len()).expect("a unit is small"); 3],
-                primitive,
-                segment: context.segment,
-                flags: flags::RECT | side,
+                tag: context.tag | flags::RECT | side,
             });
-            self.vertices.push(vertex);
+            self.origins.push(Origin { vertices: [u32_from(at); 3], primitive });
         }
     }
 
     /// Counting sort of the shapes by tile; within a tile they keep their order.
     fn sort_into_tiles(&mut self, grid: &Grid) {
         let Self { shapes, tile_offsets, tile_shapes, .. } = self;
-        let tile_count = grid.tile_count();
+        let (tile_count, columns) = (grid.tile_count(), grid.column_count());
+        let each_tile = |shape: &Shape, visit: &mut dyn FnMut(usize)| {
+            let [column0, row0, column1, row1] = grid.tiles(shape.pixels);
+            for row in row0..=row1 {
+                for column in column0..=column1 {
+                    visit(row.wrapping_mul(columns).wrapping_add(column));
+                }
+            }
+        };
+        // most shapes lie in one tile
+        let only_tile = |shape: &Shape| {
+            let [column0, row0, column1, row1] = grid.tiles(shape.pixels);
+            let tile = row0.wrapping_mul(columns).wrapping_add(column0);
+            (column0 == column1 && row0 == row1).then_some(tile)
+        };
         tile_offsets.clear();
         tile_offsets.resize(tile_count + 1, 0);
         for shape in shapes.iter() {
-            for row in grid.tile_rows(shape) {
-                for column in grid.tile_columns(shape) {
-                    tile_offsets[row * grid.column_count() + column + 1] += 1;
-                }
+            match only_tile(shape) {
+                Some(tile) => tile_offsets[tile + 1] = tile_offsets[tile + 1].wrapping_add(1),
+                None => each_tile(shape, &mut |tile| tile_offsets[tile + 1] += 1),
             }
         }
-        for tile in 0..tile_count {
-            tile_offsets[tile + 1] += tile_offsets[tile];
+        let mut sum = 0_u32;
+        for offset in tile_offsets.iter_mut() {
+            sum = sum.wrapping_add(*offset);
+            *offset = sum;
         }
         tile_shapes.clear();
-        tile_shapes.resize(tile_offsets[tile_count] as usize, 0);
+        tile_shapes.resize(sum as usize, 0);
         for (index, shape) in (0_u32..).zip(shapes.iter()) {
-            for row in grid.tile_rows(shape) {
-                for column in grid.tile_columns(shape) {
-                    // offsets run ahead while filling and are set back below
-                    let next = &mut tile_offsets[row * grid.column_count() + column];
-                    tile_shapes[*next as usize] = index;
-                    *next += 1;
-                }
+            // offsets run ahead while filling and are set back below
+            let mut put = |tile: usize| {
+                let next = &mut tile_offsets[tile];
+                tile_shapes[*next as usize] = index;
+                *next = next.wrapping_add(1);
+            };
+            match only_tile(shape) {
+                Some(tile) => put(tile),
+                None => each_tile(shape, &mut put),
             }
         }
         tile_offsets.copy_within(0..tile_count, 1);
@@ -520,24 +402,144 @@ impl Unit {
     }
 
     /// Shapes that touch a tile, in paint order.
+    #[inline(always)]
     pub(crate) fn shapes_in(&self, tile: usize) -> &[u32] {
         let range = self.tile_offsets[tile] as usize..self.tile_offsets[tile + 1] as usize;
         &self.tile_shapes[range]
     }
 }
 
-/// A triangle from corners (x, y, key), or nothing where no sample can be covered.
-///
-/// `winding` is [`flags::FRONT`] if corners that run counter-clockwise on the picture show the front.
-#[inline]
-fn shape(
-    points: [[f32; 3]; 3],
-    vertices: [u32; 3],
-    segment: u32,
-    primitive: u32,
-    winding: u8,
-    grid: &Grid,
-) -> Option<Shape> {
+/// Three corners' numbers as vectors. (What is not inlined cannot use the level's instructions, and
+/// nothing promises that `map` is.)
+#[inline(always)]
+fn floats_of<S: Simd>(simd: S, [a, b, c]: [[f32; LANE_COUNT]; 3]) -> [f32x8<S>; 3] {
+    [f32x8::simd_from(simd, a), f32x8::simd_from(simd, b), f32x8::simd_from(simd, c)]
+}
+
+#[inline(always)]
+fn steps_of<S: Simd>(simd: S, [a, b, c]: [[i32; LANE_COUNT]; 3]) -> [i32x8<S>; 3] {
+    [i32x8::simd_from(simd, a), i32x8::simd_from(simd, b), i32x8::simd_from(simd, c)]
+}
+
+/// Sets up the triangles of a batch, a lane each, and appends those that may be seen.
+struct SetUp<'a> {
+    unit: &'a mut Unit,
+    context: &'a Context<'a>,
+    positions: &'a [Vec3],
+    batch: &'a Batch,
+}
+
+impl Kernel for SetUp<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Self { unit, context, positions, batch } = self;
+        let mut floats = [[[0.0_f32; LANE_COUNT]; 3]; 3];
+        let mut steps = [[[0_i32; LANE_COUNT]; 3]; 2];
+        for lane in 0..batch.length.min(LANE_COUNT) {
+            for corner in 0..3 {
+                let vertex = &unit.vertices[batch.corners[lane][corner] as usize];
+                floats[0][corner][lane] = vertex.x;
+                floats[1][corner][lane] = vertex.y;
+                floats[2][corner][lane] = vertex.key;
+                steps[0][corner][lane] = vertex.snapped[0];
+                steps[1][corner][lane] = vertex.snapped[1];
+            }
+        }
+        let [x, y] = [floats_of(simd, floats[0]), floats_of(simd, floats[1])];
+        let key = floats_of(simd, floats[2]);
+        let [sx, sy] = [steps_of(simd, steps[0]), steps_of(simd, steps[1])];
+        // one NaN corner makes the sum NaN; nothing else can, since keys are finite
+        let sum = key[0] + key[1] + key[2];
+        let clipped = sum.simd_ne(sum).to_bitmask();
+        let low = [sx[0].min(sx[1]).min(sx[2]), sy[0].min(sy[1]).min(sy[2])];
+        let high = [sx[0].max(sx[1]).max(sx[2]), sy[0].max(sy[1]).max(sy[2])];
+        let limit = i32x8::splat(simd, WIDE);
+        let wide = (high[0] - low[0]).simd_ge(limit) | (high[1] - low[1]).simd_ge(limit);
+        let alone = clipped | wide.to_bitmask();
+        let (ux, vx, uy, vy) = (sx[1] - sx[0], sx[2] - sx[0], sy[1] - sy[0], sy[2] - sy[0]);
+        let doubled_area = ux * vy - uy * vx;
+        let [left, top, right, bottom] = context.grid.drawn();
+        let up = SUBPIXEL_COUNT - 1;
+        let [low_x, low_y] = context.grid.sample_low;
+        let [high_x, high_y] = context.grid.sample_high;
+        let x0 = ((low[0] + (up - high_x)) >> SUBPIXEL_BITS).max(i32x8::splat(simd, left));
+        let y0 = ((low[1] + (up - high_y)) >> SUBPIXEL_BITS).max(i32x8::splat(simd, top));
+        let x1 = ((high[0] - low_x) >> SUBPIXEL_BITS).min(i32x8::splat(simd, right));
+        let y1 = ((high[1] - low_y) >> SUBPIXEL_BITS).min(i32x8::splat(simd, bottom));
+        let zero = i32x8::splat(simd, 0);
+        let drawn = x0.simd_le(x1) & y0.simd_le(y1) & !doubled_area.simd_eq(zero);
+        let mut left = (drawn.to_bitmask() | alone) & ((1_u64 << batch.length) - 1);
+        if left == 0 {
+            return;
+        }
+        let [slope_x, slope_y] = slopes(simd, x, y, key);
+        let keys: [[f32; LANE_COUNT]; 3] = [key[0].into(), slope_x.into(), slope_y.into()];
+        let nearest: [f32; LANE_COUNT] = key[0].max(key[1]).max(key[2]).into();
+        let farthest: [f32; LANE_COUNT] = key[0].min(key[1]).min(key[2]).into();
+        let pixels: [[i32; LANE_COUNT]; 4] = [x0.into(), y0.into(), x1.into(), y1.into()];
+        let turned = doubled_area.simd_lt(zero).to_bitmask();
+        while left != 0 {
+            let lane = left.trailing_zeros() as usize % LANE_COUNT;
+            left &= left.wrapping_sub(1);
+            let (vertices, primitive) = (batch.corners[lane], batch.primitives[lane]);
+            if alone >> lane & 1 == 1 {
+                unit.triangle_alone(context, positions, vertices, primitive);
+                continue;
+            }
+            let is_turned = turned >> lane & 1 == 1;
+            // counter-clockwise as seen, since y points down
+            let [b, c] = if is_turned { [2, 1] } else { [1, 2] };
+            let winding = context.placing.stored_winding() ^ (u32::from(!is_turned) * flags::FRONT);
+            unit.shapes.push(Shape {
+                x: [steps[0][0][lane], steps[0][b][lane], steps[0][c][lane]],
+                y: [steps[1][0][lane], steps[1][b][lane], steps[1][c][lane]],
+                key: [keys[0][lane], keys[1][lane], keys[2][lane]],
+                key_range: [farthest[lane], nearest[lane]],
+                origin: [floats[0][0][lane], floats[1][0][lane]],
+                pixels: [
+                    pixel_u16(pixels[0][lane]),
+                    pixel_u16(pixels[1][lane]),
+                    pixel_u16(pixels[2][lane]),
+                    pixel_u16(pixels[3][lane]),
+                ],
+                tag: context.tag | winding,
+            });
+            unit.origins.push(Origin { vertices, primitive });
+        }
+    }
+}
+
+/// An index of a unit, which is small.
+#[inline(always)]
+#[expect(clippy::cast_possible_truncation, reason = "a unit has few vertices")]
+fn u32_from(index: usize) -> u32 {
+    index as u32
+}
+
+/// How the depth key changes a pixel to the right and down; not at all where that is not finite.
+#[inline(always)]
+fn slopes<S: Simd>(
+    simd: S,
+    x: [f32x8<S>; 3],
+    y: [f32x8<S>; 3],
+    key: [f32x8<S>; 3],
+) -> [f32x8<S>; 2] {
+    let [ux, vx, uy, vy] = [x[1] - x[0], x[2] - x[0], y[1] - y[0], y[2] - y[0]];
+    let (uk, vk) = (key[1] - key[0], key[2] - key[0]);
+    let area = ux * vy - vx * uy;
+    let slope_x = (uk * vy - vk * uy) / area;
+    let slope_y = (vk * ux - uk * vx) / area;
+    // infinity times 0 is NaN, which is not 0
+    let none = f32x8::splat(simd, 0.0);
+    let finite = (slope_x * 0.0 + slope_y * 0.0).simd_eq(none);
+    [finite.select(slope_x, none), finite.select(slope_y, none)]
+}
+
+/// A triangle from corners (x, y, key), or nothing where no sample can be covered. `tag` as in
+/// [`Unit::extend`].
+fn triangle(points: [[f32; 3]; 3], tag: u32, grid: &Grid) -> Option<Shape> {
     let mut x = points.map(|p| snap(p[0]));
     let mut y = points.map(|p| snap(p[1]));
     let edge = |to: usize| (i64::from(x[to] - x[0]), i64::from(y[to] - y[0]));
@@ -546,20 +548,19 @@ fn shape(
     if doubled_area == 0 {
         return None;
     }
-    let mut shape_flags = winding;
+    let mut tag = tag;
     if doubled_area < 0 {
         // counter-clockwise as seen, since y points down
         x.swap(1, 2);
         y.swap(1, 2);
     } else {
-        shape_flags ^= flags::FRONT;
+        tag ^= flags::FRONT;
     }
     let low = [x[0].min(x[1]).min(x[2]), y[0].min(y[1]).min(y[2])];
     let high = [x[0].max(x[1]).max(x[2]), y[0].max(y[1]).max(y[2])];
     let pixels = grid.pixel_box(low, high)?;
-    // 2^14 steps are 64 pixels: products of two such distances, and sums of two products, fit in i32
-    if high[0] - low[0] >= 1 << 14 || high[1] - low[1] >= 1 << 14 {
-        shape_flags |= flags::WIDE;
+    if high[0] - low[0] >= WIDE || high[1] - low[1] >= WIDE {
+        tag |= flags::WIDE;
     }
     let [[x0, y0, k0], [x1, y1, k1], [x2, y2, k2]] = points;
     let area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
@@ -573,10 +574,7 @@ fn shape(
         key_range: [k0.min(k1).min(k2), k0.max(k1).max(k2)],
         origin: [x0, y0],
         pixels,
-        vertices,
-        primitive,
-        segment,
-        flags: shape_flags,
+        tag,
     })
 }
 

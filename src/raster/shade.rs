@@ -9,7 +9,8 @@ use std::ops::{Add, Mul, Sub};
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles};
 
 use crate::draw_list::{Blend, Buffers, DrawList, Instance, Item, Surface};
-use crate::raster::setup::{Placing, ScreenVertex, Shape, Unit, flags, normal_matrix};
+use crate::raster::placing::{Placing, ScreenVertex, normal_matrix};
+use crate::raster::setup::{Shape, Unit, flags};
 use crate::texture::{Filter, Sampler, Texture};
 use crate::view::View;
 
@@ -34,7 +35,7 @@ fn mix<T: Mixed>([a, b, c]: [T; 3], weights: [f32; 3]) -> T {
 
 impl<'a> Material<'a> {
     pub(crate) fn new(list: &'a DrawList, unit: &Unit, shape: &Shape) -> Self {
-        let segment = &unit.segments[shape.segment as usize];
+        let segment = &unit.segments[shape.segment() as usize];
         let item = &list.items[segment.item as usize];
         let texture = match item.surface {
             Surface::VertexColor => None,
@@ -57,9 +58,9 @@ impl<'a> Material<'a> {
     }
 
     /// What the "ids" output shows.
-    pub(crate) fn source_id(&self, shape: &Shape) -> u32 {
+    pub(crate) fn source_id(&self, primitive: u32) -> u32 {
         let ids = &self.indices.source_ids;
-        if ids.is_empty() { shape.primitive } else { ids[shape.primitive as usize] }
+        if ids.is_empty() { primitive } else { ids[primitive as usize] }
     }
 
     fn mix<T: Mixed>(&self, array: &[T], sources: [u32; 3], weights: [f32; 3]) -> T {
@@ -102,7 +103,7 @@ impl<'a> Material<'a> {
     ) -> [Vec4; 3] {
         let weights = weigher.at(at);
         let sources = weigher.sources;
-        let front = shape.flags & flags::FRONT != 0;
+        let front = shape.has(flags::FRONT);
         let tint = self.instance.tint;
         let mut alpha = 1.0;
         let mut texel = Vec3::ONE;
@@ -153,43 +154,120 @@ pub(crate) struct Weigher {
 }
 
 enum Kind {
-    /// One vertex everywhere.
-    Constant,
-    /// The second and third weight are linear on the picture, then divided by depth.
-    Planar { origin: Vec2, second: Vec2, third: Vec2, keys: Option<[f32; 3]> },
+    Planar(Planar),
     /// Reaches behind the eye.
-    Clipped { space: Box<Placing>, corners: [glam::DVec3; 3] },
+    Clipped {
+        space: Box<Placing>,
+        corners: [glam::DVec3; 3],
+    },
 }
 
-impl Kind {
-    fn planar(view: &View, corners: [ScreenVertex; 3]) -> Self {
+/// The second and third weight are linear on the picture, then divided by depth.
+#[derive(Clone, Copy, Debug)]
+struct Planar {
+    origin: Vec2,
+    second: Vec2,
+    third: Vec2,
+    /// Depth keys of the corners; all 1 where depth does not matter.
+    keys: [f32; 3],
+}
+
+impl Planar {
+    /// Of corners that lie on a line, or of a rectangle, the first counts alone.
+    #[inline]
+    fn new(view: &View, corners: [&ScreenVertex; 3], is_rect: bool) -> Self {
         let [a, b, c] = corners.map(|c| Vec2::new(c.x, c.y));
         let (u, v) = (b - a, c - a);
         let inverse_area = 1.0 / (u.x * v.y - u.y * v.x);
-        let second = Vec2::new(v.y, -v.x) * inverse_area;
-        let third = Vec2::new(-u.y, u.x) * inverse_area;
-        if !(second.is_finite() && third.is_finite()) {
-            return Self::Constant;
+        let mut second = Vec2::new(v.y, -v.x) * inverse_area;
+        let mut third = Vec2::new(-u.y, u.x) * inverse_area;
+        if is_rect || !(second.is_finite() && third.is_finite()) {
+            (second, third) = (Vec2::ZERO, Vec2::ZERO);
         }
-        let keys = (!view.is_orthographic()).then(|| corners.map(|c| c.key));
-        Self::Planar { origin: a, second, third, keys }
+        let keys = if view.is_orthographic() { [1.0; 3] } else { corners.map(|c| c.key) };
+        Self { origin: a, second, third, keys }
+    }
+
+    /// Weights at a point, clamped to the triangle.
+    #[inline]
+    fn at(&self, point: Vec2) -> [f32; 3] {
+        let from = point - self.origin;
+        let (l1, l2) = (self.second.dot(from), self.third.dot(from));
+        self.normalized([(1.0 - l1 - l2).max(0.0), l1.max(0.0), l2.max(0.0)])
+    }
+
+    /// Weights at a point that may lie outside.
+    #[inline]
+    fn unclamped(&self, point: Vec2) -> [f32; 3] {
+        let from = point - self.origin;
+        let (l1, l2) = (self.second.dot(from), self.third.dot(from));
+        self.normalized([1.0 - l1 - l2, l1, l2])
+    }
+
+    #[inline]
+    fn normalized(&self, weights: [f32; 3]) -> [f32; 3] {
+        let [a, b, c] = std::array::from_fn(|i| weights[i] * self.keys[i]);
+        let scale = 1.0 / (a + b + c);
+        [a * scale, b * scale, c * scale]
+    }
+}
+
+/// Colour of an untextured opaque shape, ready to be asked for at many points.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Smooth {
+    planar: Planar,
+    colors: [Vec4; 3],
+    tint: Vec4,
+    /// What the "ids" output shows.
+    pub(crate) id: u32,
+}
+
+impl Smooth {
+    /// `None` for a shape that has a texture, blends or reaches behind the eye.
+    #[inline(always)]
+    pub(crate) fn new(view: &View, list: &DrawList, unit: &Unit, index: usize) -> Option<Self> {
+        let shape = &unit.shapes[index];
+        let segment = &unit.segments[shape.segment() as usize];
+        let item = &list.items[segment.item as usize];
+        let opaque = item.blend != Blend::Over && item.surface == Surface::VertexColor;
+        if !opaque || shape.has(flags::CLIPPED) {
+            return None;
+        }
+        let origin = unit.origins[index];
+        let corners = origin.vertices.map(|v| &unit.vertices[v as usize]);
+        let buffers = list.vertices_of(item);
+        let side = if shape.has(flags::FRONT) { &buffers.front } else { &buffers.back };
+        let ids = &list.indices_of(item).source_ids;
+        Some(Self {
+            planar: Planar::new(view, corners, shape.has(flags::RECT)),
+            colors: corners.map(|c| side[c.source as usize].extend(1.0)),
+            tint: list.instances[segment.instance as usize].tint.with_w(1.0),
+            id: ids.get(origin.primitive as usize).copied().unwrap_or(origin.primitive),
+        })
+    }
+
+    /// As [`Material::shade`]: opaque.
+    #[inline]
+    pub(crate) fn color(&self, at: Vec2) -> Vec4 {
+        mix(self.colors, self.planar.at(at)) * self.tint
     }
 }
 
 impl Weigher {
     #[inline]
-    pub(crate) fn new(view: &View, material: &Material<'_>, unit: &Unit, shape: &Shape) -> Self {
-        let (sources, kind) = if shape.flags & flags::CLIPPED != 0 {
+    pub(crate) fn new(view: &View, material: &Material<'_>, unit: &Unit, index: usize) -> Self {
+        let shape = &unit.shapes[index];
+        let vertices = unit.origins[index].vertices;
+        let (sources, kind) = if shape.has(flags::CLIPPED) {
             let instance = material.instance;
             let placing = Placing::new(view, instance.linear, instance.translation);
             let positions = &material.buffers.positions;
-            let corners = shape.vertices.map(|v| positions[v as usize].as_dvec3());
-            (shape.vertices, Kind::Clipped { space: Box::new(placing), corners })
+            let corners = vertices.map(|v| positions[v as usize].as_dvec3());
+            (vertices, Kind::Clipped { space: Box::new(placing), corners })
         } else {
-            let corners = shape.vertices.map(|v| unit.vertices[v as usize]);
-            let flat = shape.flags & flags::RECT != 0;
-            let kind = if flat { Kind::Constant } else { Kind::planar(view, corners) };
-            (corners.map(|c| c.source), kind)
+            let corners = vertices.map(|v| &unit.vertices[v as usize]);
+            let planar = Planar::new(view, corners, shape.has(flags::RECT));
+            (corners.map(|c| c.source), Kind::Planar(planar))
         };
         let buffers = material.buffers;
         Self {
@@ -204,13 +282,7 @@ impl Weigher {
     #[inline]
     fn at(&self, point: Vec2) -> [f32; 3] {
         match &self.kind {
-            Kind::Constant => [1.0, 0.0, 0.0],
-            Kind::Planar { origin, second, third, keys } => {
-                let from = point - *origin;
-                let (l1, l2) = (second.dot(from), third.dot(from));
-                let clamped = [(1.0 - l1 - l2).max(0.0), l1.max(0.0), l2.max(0.0)];
-                normalized(clamped, *keys)
-            }
+            Kind::Planar(planar) => planar.at(point),
             Kind::Clipped { space, corners } => {
                 space.exact.weights(*corners, [f64::from(point.x), f64::from(point.y)])
             }
@@ -221,24 +293,10 @@ impl Weigher {
     #[inline]
     fn unclamped(&self, point: Vec2) -> [f32; 3] {
         match &self.kind {
-            Kind::Planar { origin, second, third, keys } => {
-                let from = point - *origin;
-                let (l1, l2) = (second.dot(from), third.dot(from));
-                normalized([1.0 - l1 - l2, l1, l2], *keys)
-            }
-            Kind::Constant | Kind::Clipped { .. } => self.at(point),
+            Kind::Planar(planar) => planar.unclamped(point),
+            Kind::Clipped { .. } => self.at(point),
         }
     }
-}
-
-#[inline]
-fn normalized(weights: [f32; 3], keys: Option<[f32; 3]>) -> [f32; 3] {
-    let [a, b, c] = match keys {
-        Some(keys) => [weights[0] * keys[0], weights[1] * keys[1], weights[2] * keys[2]],
-        None => weights,
-    };
-    let scale = 1.0 / (a + b + c);
-    [a * scale, b * scale, c * scale]
 }
 
 /// Base-2 logarithm to 0.01, the same on every machine; 0 and below give a large negative number.

@@ -8,6 +8,7 @@ use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
 use super::{EMPTY_ID, Frame, Outputs, Renderer, Settings, draw_naive};
 use crate::draw_list::{Blend, Buffers, DrawList, Geometry, Instance, Item, Primitive, Surface};
 use crate::job::{self, Job};
+use crate::simd::Level;
 use crate::texture::srgb::unorm8;
 use crate::texture::{Filter, Image, Sampler, Texture, Wrap};
 use crate::view::{Projection, View};
@@ -418,6 +419,30 @@ fn the_same_bytes_on_any_number_of_threads_and_in_batches() {
 }
 
 #[test]
+fn the_same_bytes_at_every_level() {
+    let levels = Level::all();
+    for (seed, view) in (20..).zip(soup_views().iter().cycle()).take(8) {
+        let list = soup(seed, view);
+        for sample_count in [1, 4, 8, 16, 21] {
+            let settings = Settings { sample_count, outputs: ALL, background: Vec4::ZERO };
+            let frames = levels.iter().map(|&level| {
+                let mut renderer = Renderer::with_simd(level);
+                renderer.render(&list, view, &settings, &Job::default()).expect("valid")
+            });
+            let frames: Vec<Frame> = frames
+                .map(|frame| Frame {
+                    stats: super::Stats { draw_millis: 0.0, ..frame.stats },
+                    ..frame
+                })
+                .collect();
+            for (frame, level) in frames.iter().zip(&levels) {
+                assert!(*frame == frames[0], "seed {seed}, {sample_count} samples, {level:?}");
+            }
+        }
+    }
+}
+
+#[test]
 fn a_renderer_can_be_used_again() {
     let mut renderer = Renderer::default();
     let settings = Settings { sample_count: 4, outputs: ALL, background: Vec4::ZERO };
@@ -433,6 +458,12 @@ fn a_renderer_can_be_used_again() {
             assert!(first.as_ref() == Some(&color), "the same picture after another one");
         }
     }
+    // what was there before does not show through what is empty
+    let nothing = DrawList::default();
+    let frame = renderer.render(&nothing, &first_view, &settings, &Job::default()).expect("valid");
+    assert!(frame.color.iter().all(|&pixel| pixel == Vec4::ZERO), "no colour");
+    assert!(frame.depth.iter().all(|&depth| depth == f32::INFINITY), "no depth");
+    assert!(frame.ids.iter().all(|&id| id == EMPTY_ID), "no id");
 }
 
 #[test]

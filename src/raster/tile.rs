@@ -7,31 +7,36 @@
 use glam::{Vec2, Vec4};
 
 use crate::draw_list::{Blend, DrawList};
-use crate::raster::coverage::covered;
+use crate::raster::colors::{Colors, Known};
+use crate::raster::coverage::Lanes;
 use crate::raster::frame::{EMPTY_ID, Outputs};
+use crate::raster::grid::Grid;
 use crate::raster::samples::{SUBPIXEL_COUNT, SamplePosition};
-use crate::raster::setup::{Grid, Shape, Unit};
+use crate::raster::setup::{Shape, Unit};
 use crate::raster::shade::{Material, Weigher};
+use crate::raster::visible::{Sample, Sink, Visible, bits, index};
+use crate::simd::{LANE_COUNT, Level};
 use crate::view::View;
 
 /// No shape waits to be coloured in this sample.
-const NONE: u32 = u32::MAX;
+pub(crate) const NONE: u32 = u32::MAX;
 
 /// Bits of a reference that count shapes inside a unit: a clipped card gives at most 12.
-const SHAPE_BITS: u32 = 15;
+const SHAPE_BITS: u32 = 16;
 
 /// Opacity, gathered front to back, at which a blended pixel's depth is taken.
 const HALF_OPACITY: f32 = 0.5;
 
 /// What all tiles of a picture share.
 pub(crate) struct Scene<'a, const S: usize> {
+    pub(crate) level: Level,
     pub(crate) list: &'a DrawList,
     pub(crate) view: &'a View,
     pub(crate) units: &'a [Unit],
     pub(crate) grid: Grid,
-    pub(crate) samples: [SamplePosition; S],
-    /// The same in pixels.
-    pub(crate) offsets: [Vec2; S],
+    pub(crate) lanes: Lanes,
+    /// Where in a pixel the samples lie.
+    offsets: [Vec2; S],
     /// Which of colour, albedo and normal are wanted.
     pub(crate) layers: [bool; 3],
 }
@@ -51,6 +56,7 @@ pub(crate) struct TileBuffer {
     ids: Vec<u32>,
     /// Opacity of blended shapes, gathered front to back.
     opacity: Vec<f32>,
+    known_colors: Known,
     /// (shape, pixel) pairs covered.
     pub(crate) fragment_count: u64,
 }
@@ -65,105 +71,53 @@ pub(crate) struct TileTarget<'a> {
     pub(crate) albedo: Vec<&'a mut [Vec4]>,
 }
 
-/// A pixel of a tile while a shape is drawn into it.
-struct Pixel<'a, const S: usize> {
-    x: i32,
-    y: i32,
-    /// Index of its first sample.
-    first: usize,
-    /// Samples where the shape is in front.
-    mask: u32,
-    /// Depth keys of the shape, one a sample.
-    keys: &'a [f32; S],
-}
-
-impl<const S: usize> Pixel<'_, S> {
-    fn samples(&self) -> impl Iterator<Item = usize> + use<S> {
-        bits(self.mask)
-    }
-
-    fn center(&self) -> Vec2 {
-        Vec2::new(self.x as f32 + 0.5, self.y as f32 + 0.5)
-    }
-}
-
-/// Indices of the bits that are set, lowest first.
-fn bits(mut mask: u32) -> impl Iterator<Item = usize> {
-    std::iter::from_fn(move || {
-        let lowest = mask.trailing_zeros();
-        mask &= mask.wrapping_sub(1);
-        (lowest < 32).then_some(lowest as usize)
-    })
-}
-
 impl<'a, const S: usize> Scene<'a, S> {
     pub(crate) fn new(
+        level: Level,
         list: &'a DrawList,
         view: &'a View,
         units: &'a [Unit],
         grid: Grid,
-        samples: [SamplePosition; S],
+        samples: &[SamplePosition; S],
         outputs: Outputs,
     ) -> Self {
         let step = 1.0 / SUBPIXEL_COUNT as f32;
         let offsets = samples.map(|[x, y]| Vec2::new(x as f32, y as f32) * step);
         let layers = [outputs.color, outputs.albedo, outputs.normal];
-        Self { list, view, units, grid, samples, offsets, layers }
+        Self { level, list, view, units, grid, lanes: Lanes::new(samples), offsets, layers }
+    }
+
+    /// Whether no shape of the batch touches a tile.
+    pub(crate) fn is_empty(&self, tile: usize) -> bool {
+        self.units.iter().all(|unit| unit.shapes_in(tile).is_empty())
     }
 
     /// Where a sample of a pixel lies on the picture.
-    #[inline]
-    fn point(&self, x: i32, y: i32, sample: usize) -> Vec2 {
+    #[inline(always)]
+    pub(crate) fn point(&self, x: i32, y: i32, sample: usize) -> Vec2 {
         Vec2::new(x as f32, y as f32) + self.offsets[sample]
     }
 
-    /// Calls `visit` for each pixel of the tile in which the shape is nearest at some sample.
     #[inline]
-    fn visible(
-        &self,
-        style: &Style<'_>,
-        shape: &Shape,
-        tile_box: [i32; 4],
-        keys: &mut [f32],
-        fragment_count: &mut u64,
-        mut visit: impl FnMut(&Pixel<'_, S>, &mut [f32]),
-    ) {
-        let [x0, y0, x1, y1] = shape.pixels.map(i32::from);
-        let pixels = [
-            x0.max(tile_box[0]),
-            y0.max(tile_box[1]),
-            x1.min(tile_box[2] - 1),
-            y1.min(tile_box[3] - 1),
-        ];
-        let (lowest, highest) = style.slab_keys;
-        let [at_origin, slope_x, slope_y] = shape.key;
-        let [farthest, nearest] = shape.key_range;
-        let mut count = 0;
-        covered(shape, pixels, &self.samples, |x, y, mask| {
-            count += 1;
-            let first = pixel_index(x - tile_box[0], y - tile_box[1], self.grid.tile) * S;
-            let stored: &[f32; S] = keys[first..first + S].try_into().expect("S samples");
-            let corner = Vec2::new(x as f32, y as f32) - Vec2::from(shape.origin);
-            let mut shape_keys = [0.0_f32; S];
-            let mut front = 0;
-            for s in 0..S {
-                let from = corner + self.offsets[s];
-                let key = at_origin + (slope_x * from.x + slope_y * from.y);
-                let key = key.max(farthest).min(nearest);
-                shape_keys[s] = key;
-                let seen = (key > stored[s]) & (key > lowest) & (key <= highest);
-                front |= u32::from(seen) << s;
-            }
-            let mut mask = mask & front;
-            if style.dithered {
-                let instance = style.material.instance;
-                mask &= dither_mask(x, y, S, instance.seed, instance.fade);
-            }
-            if mask != 0 {
-                visit(&Pixel { x, y, first, mask, keys: &shape_keys }, keys);
-            }
-        });
-        *fragment_count += count;
+    fn point_of(&self, sample: &Sample) -> Vec2 {
+        self.point(sample.pixel[0], sample.pixel[1], sample.number)
+    }
+
+    /// The middle of some samples of a pixel.
+    #[inline(always)]
+    pub(crate) fn centroid(&self, x: i32, y: i32, mask: u32) -> Vec2 {
+        if S == 1 {
+            return self.point(x, y, 0);
+        }
+        let sum: Vec2 = bits(mask.into()).map(|s| self.point(x, y, s)).sum();
+        sum * (1.0 / mask.count_ones() as f32)
+    }
+
+    /// Unit and index of the shape that a reference stands for.
+    #[inline(always)]
+    pub(crate) fn referred(&self, reference: u32) -> (&'a Unit, usize) {
+        let unit = &self.units[(reference >> SHAPE_BITS) as usize];
+        (unit, (reference & ((1 << SHAPE_BITS) - 1)) as usize)
     }
 }
 
@@ -173,31 +127,28 @@ struct Style<'a> {
     segment: u32,
     material: Material<'a>,
     slab_keys: (f32, f32),
-    dithered: bool,
+    /// Seed and fade of an instance that is not fully there.
+    dither: Option<(u32, f32)>,
 }
 
 impl<'a> Style<'a> {
-    /// The style of a shape: the one at hand if the shape is of the same segment.
-    #[inline]
-    fn of<const S: usize>(
-        scene: &Scene<'a, S>,
-        unit: u32,
-        shape: &Shape,
-        at_hand: Option<Self>,
-    ) -> Self {
-        match at_hand {
-            Some(style) if style.unit == unit && style.segment == shape.segment => style,
-            _ => {
-                let material = Material::new(scene.list, &scene.units[unit as usize], shape);
-                Self {
-                    unit,
-                    segment: shape.segment,
-                    slab_keys: slab_keys(scene.view, material.item.slab),
-                    dithered: material.instance.fade != 1.0,
-                    material,
-                }
-            }
+    #[inline(never)]
+    fn new<const S: usize>(scene: &Scene<'a, S>, unit: u32, shape: &Shape) -> Self {
+        let material = Material::new(scene.list, &scene.units[unit as usize], shape);
+        let instance = material.instance;
+        Self {
+            unit,
+            segment: shape.segment(),
+            slab_keys: slab_keys(scene.view, material.item.slab),
+            dither: (instance.fade != 1.0).then_some((instance.seed, instance.fade)),
+            material,
         }
+    }
+
+    /// Whether it is the style of a shape.
+    #[inline(always)]
+    fn fits(&self, unit: u32, shape: &Shape) -> bool {
+        self.unit == unit && self.segment == shape.segment()
     }
 }
 
@@ -212,28 +163,6 @@ pub(crate) fn slab_keys(view: &View, slab: Option<[f32; 2]>) -> (f32, f32) {
         // the near plane itself was clipped exactly
         (1.0 / far, if slab.is_some() { 1.0 / near } else { f32::INFINITY })
     }
-}
-
-fn pixel_index(x: i32, y: i32, tile: i32) -> usize {
-    usize::try_from(y * tile + x).expect("inside the tile")
-}
-
-/// Samples that a fade keeps: those whose fixed random number is below it; for a negative fade the
-/// others, so that `fade` and `fade - 1` complete one another.
-fn dither_mask(x: i32, y: i32, sample_count: usize, seed: u32, fade: f32) -> u32 {
-    let mut mask = 0;
-    for s in 0..sample_count {
-        let mut hash = seed.wrapping_mul(0x9E37_79B9);
-        for part in [x.unsigned_abs(), y.unsigned_abs(), u32::try_from(s).expect("under 32")] {
-            hash = (hash ^ part).wrapping_mul(0x85EB_CA6B);
-            hash ^= hash >> 15;
-        }
-        hash = hash.wrapping_mul(0xC2B2_AE35);
-        let number = ((hash ^ hash >> 16) >> 8) as f32 * (1.0 / 16_777_216.0);
-        let kept = if fade >= 0.0 { number < fade } else { number >= 1.0 + fade };
-        mask |= u32::from(kept) << s;
-    }
-    mask
 }
 
 fn refill<T: Clone>(vec: &mut Vec<T>, wanted: bool, length: usize, value: T) {
@@ -256,7 +185,8 @@ impl TileBuffer {
         layered: bool,
     ) {
         let side = usize::try_from(grid.tile).expect("positive");
-        let length = side * side * sample_count;
+        // the last row's vectors may reach beyond it
+        let length = side * side * sample_count + LANE_COUNT;
         refill(&mut self.keys, true, length, f32::NEG_INFINITY);
         refill(&mut self.waiting, true, length, NONE);
         self.any_waiting = false;
@@ -270,113 +200,85 @@ impl TileBuffer {
 
     /// Draws the batch's shapes of a tile in order.
     pub(crate) fn draw<const S: usize>(&mut self, scene: &Scene<'_, S>, tile: usize) {
+        // references mean other shapes in another batch
+        self.known_colors.forget();
         let tile_box = scene.grid.tile_box(tile);
-        let mut at_hand = None;
+        let mut at_hand: Option<Style<'_>> = None;
         for (unit_index, unit) in (0_u32..).zip(scene.units) {
             for &index in unit.shapes_in(tile) {
                 let shape = &unit.shapes[index as usize];
-                let style = Style::of(scene, unit_index, shape, at_hand.take());
-                let reference = unit_index << SHAPE_BITS | index;
+                if !at_hand.as_ref().is_some_and(|style| style.fits(unit_index, shape)) {
+                    at_hand = Some(Style::new(scene, unit_index, shape));
+                }
+                let Some(style) = &at_hand else { continue };
+                let target = Target { tile_box, style, shape, unit: unit_index, index };
                 match style.material.item.blend {
-                    Blend::Opaque => {
-                        self.any_waiting = true;
-                        self.draw_opaque(scene, tile_box, &style, shape, reference);
-                    }
-                    Blend::Test(cutoff) => {
-                        self.any_waiting = true;
-                        let weigher = Weigher::new(scene.view, &style.material, unit, shape);
-                        let test = (&weigher, cutoff);
-                        self.draw_tested(scene, tile_box, &style, test, shape, reference);
-                    }
+                    Blend::Opaque => self.draw_opaque(scene, &target),
+                    Blend::Test(cutoff) => self.draw_tested(scene, &target, cutoff),
                     Blend::Over => {
                         self.color_waiting(scene, tile);
-                        let weigher = Weigher::new(scene.view, &style.material, unit, shape);
-                        self.draw_over(scene, tile_box, &style, &weigher, shape);
+                        self.draw_over(scene, &target);
                     }
                 }
-                at_hand = Some(style);
             }
         }
     }
 
-    fn draw_opaque<const S: usize>(
-        &mut self,
-        scene: &Scene<'_, S>,
-        tile_box: [i32; 4],
-        style: &Style<'_>,
-        shape: &Shape,
-        reference: u32,
-    ) {
+    fn draw_opaque<const S: usize>(&mut self, scene: &Scene<'_, S>, target: &Target<'_>) {
+        self.any_waiting = true;
         let Self { keys, waiting, fragment_count, .. } = self;
-        let write = style.material.item.depth_write;
-        scene.visible(style, shape, tile_box, keys, fragment_count, |pixel, keys| {
-            for s in 0..S {
-                if pixel.mask >> s & 1 == 1 {
-                    if write {
-                        keys[pixel.first + s] = pixel.keys[s];
-                    }
-                    waiting[pixel.first + s] = reference;
-                }
-            }
-        });
+        let write = target.style.material.item.depth_write;
+        let sink = Sink::Store { waiting, reference: target.reference(), write };
+        *fragment_count += target.draw(scene, keys, sink);
     }
 
     fn draw_tested<const S: usize>(
         &mut self,
         scene: &Scene<'_, S>,
-        tile_box: [i32; 4],
-        style: &Style<'_>,
-        (weigher, cutoff): (&Weigher, f32),
-        shape: &Shape,
-        reference: u32,
+        target: &Target<'_>,
+        cutoff: f32,
     ) {
+        self.any_waiting = true;
         let Self { keys, waiting, fragment_count, .. } = self;
-        let material = &style.material;
+        let material = &target.style.material;
+        let (weigher, reference) = (target.weigher(scene), target.reference());
         let write = material.item.depth_write;
-        scene.visible(style, shape, tile_box, keys, fragment_count, |pixel, keys| {
-            let lod = material.lod(weigher, pixel.center());
-            for s in pixel.samples() {
-                let point = scene.point(pixel.x, pixel.y, s);
-                if material.alpha(weigher, point, lod) >= cutoff {
-                    if write {
-                        keys[pixel.first + s] = pixel.keys[s];
-                    }
-                    waiting[pixel.first + s] = reference;
+        let mut lod = Lod::default();
+        let mut visit = |sample: &Sample, keys: &mut [f32]| {
+            let lod = lod.at(material, &weigher, sample);
+            if material.alpha(&weigher, scene.point_of(sample), lod) >= cutoff {
+                if write {
+                    keys[sample.at] = sample.key;
                 }
+                waiting[sample.at] = reference;
             }
-        });
+        };
+        *fragment_count += target.draw(scene, keys, Sink::Visit(&mut visit));
     }
 
-    fn draw_over<const S: usize>(
-        &mut self,
-        scene: &Scene<'_, S>,
-        tile_box: [i32; 4],
-        style: &Style<'_>,
-        weigher: &Weigher,
-        shape: &Shape,
-    ) {
+    fn draw_over<const S: usize>(&mut self, scene: &Scene<'_, S>, target: &Target<'_>) {
         let Self { keys, layers, fragment_count, .. } = self;
-        let material = &style.material;
+        let material = &target.style.material;
+        let weigher = target.weigher(scene);
         let write = material.item.depth_write;
-        scene.visible(style, shape, tile_box, keys, fragment_count, |pixel, keys| {
-            let lod = material.lod(weigher, pixel.center());
-            for s in pixel.samples() {
-                let at = pixel.first + s;
-                let point = scene.point(pixel.x, pixel.y, s);
-                let shaded = material.shade(shape, weigher, point, lod, scene.layers);
-                if shaded[0].w == 0.0 {
-                    continue;
-                }
-                for ((layer, source), wanted) in layers.iter_mut().zip(shaded).zip(scene.layers) {
-                    if wanted {
-                        layer[at] = source + layer[at] * (1.0 - source.w);
-                    }
-                }
-                if write {
-                    keys[at] = pixel.keys[s];
+        let mut lod = Lod::default();
+        let mut visit = |sample: &Sample, keys: &mut [f32]| {
+            let lod = lod.at(material, &weigher, sample);
+            let point = scene.point_of(sample);
+            let shaded = material.shade(target.shape, &weigher, point, lod, scene.layers);
+            if shaded[0].w == 0.0 {
+                return;
+            }
+            for ((layer, source), wanted) in layers.iter_mut().zip(shaded).zip(scene.layers) {
+                if wanted {
+                    layer[sample.at] = source + layer[sample.at] * (1.0 - source.w);
                 }
             }
-        });
+            if write {
+                keys[sample.at] = sample.key;
+            }
+        };
+        *fragment_count += target.draw(scene, keys, Sink::Visit(&mut visit));
     }
 
     /// Gives every waiting sample its colour and id.
@@ -385,25 +287,26 @@ impl TileBuffer {
             return;
         }
         let [x0, y0, x1, y1] = scene.grid.tile_box(tile);
-        let mut last = None;
+        let Self { waiting, layers, ids, known_colors, .. } = self;
+        let mut colors = Colors::new(known_colors);
         for y in y0..y1 {
             for x in x0..x1 {
-                let first = pixel_index(x - x0, y - y0, scene.grid.tile) * S;
-                let references: [u32; S] =
-                    self.waiting[first..first + S].try_into().expect("S samples");
-                for_each_shaded(scene, x, y, &references, &mut last, |mask, shaded, id| {
-                    for s in bits(mask) {
-                        for (layer, source) in self.layers.iter_mut().zip(shaded) {
+                let first = index(x - x0, y - y0, scene.grid.tile) * S;
+                let waiting = &mut waiting[first..first + S];
+                let references: [u32; S] = (&*waiting).try_into().expect("S samples");
+                colors.each(scene, x, y, &references, |mask, shaded, id| {
+                    for s in bits(mask.into()) {
+                        for (layer, source) in layers.iter_mut().zip(shaded) {
                             if let Some(stored) = layer.get_mut(first + s) {
                                 *stored = source;
                             }
                         }
-                        if let Some(stored) = self.ids.get_mut(first + s) {
+                        if let Some(stored) = ids.get_mut(first + s) {
                             *stored = id;
                         }
                     }
                 });
-                self.waiting[first..first + S].fill(NONE);
+                waiting.fill(NONE);
             }
         }
     }
@@ -414,189 +317,212 @@ impl TileBuffer {
         self.opacity.resize(self.keys.len(), 0.0);
         let Self { keys, ids, opacity, .. } = self;
         let tile_box = scene.grid.tile_box(tile);
-        let mut uncounted = 0;
-        let mut at_hand = None;
+        let mut at_hand: Option<Style<'_>> = None;
         let unit_count = u32::try_from(scene.units.len()).expect("few units");
         for unit_index in (0..unit_count).rev() {
             let unit = &scene.units[unit_index as usize];
             for &index in unit.shapes_in(tile).iter().rev() {
                 let shape = &unit.shapes[index as usize];
-                let style = Style::of(scene, unit_index, shape, at_hand.take());
-                let style = at_hand.insert(style);
+                if !at_hand.as_ref().is_some_and(|style| style.fits(unit_index, shape)) {
+                    at_hand = Some(Style::new(scene, unit_index, shape));
+                }
+                let Some(style) = &at_hand else { continue };
                 let material = &style.material;
                 if material.item.blend != Blend::Over {
                     continue;
                 }
-                let weigher = Weigher::new(scene.view, material, unit, shape);
-                let id = material.source_id(shape);
-                scene.visible(style, shape, tile_box, keys, &mut uncounted, |pixel, keys| {
-                    let lod = material.lod(&weigher, pixel.center());
-                    for s in pixel.samples() {
-                        let at = pixel.first + s;
-                        let point = scene.point(pixel.x, pixel.y, s);
-                        let alpha = material.alpha(&weigher, point, lod).clamp(0.0, 1.0);
-                        let before = opacity[at];
-                        opacity[at] = before + (1.0 - before) * alpha;
-                        if before < HALF_OPACITY && opacity[at] >= HALF_OPACITY {
-                            // what lies behind cannot be nearer, so the key doubles as the answer
-                            keys[at] = pixel.keys[s];
-                            if let Some(stored) = ids.get_mut(at) {
-                                *stored = id;
-                            }
+                let target = Target { tile_box, style, shape, unit: unit_index, index };
+                let weigher = target.weigher(scene);
+                let id = material.source_id(unit.origins[index as usize].primitive);
+                let mut lod = Lod::default();
+                let mut visit = |sample: &Sample, keys: &mut [f32]| {
+                    let lod = lod.at(material, &weigher, sample);
+                    let alpha = material.alpha(&weigher, scene.point_of(sample), lod);
+                    let before = opacity[sample.at];
+                    opacity[sample.at] = before + (1.0 - before) * alpha.clamp(0.0, 1.0);
+                    if before < HALF_OPACITY && opacity[sample.at] >= HALF_OPACITY {
+                        // what lies behind cannot be nearer, so the key doubles as the answer
+                        keys[sample.at] = sample.key;
+                        if let Some(stored) = ids.get_mut(sample.at) {
+                            *stored = id;
                         }
                     }
-                });
+                };
+                target.draw(scene, keys, Sink::Visit(&mut visit));
             }
         }
     }
 
-    /// Adds the tile's samples, each with weight `weight`, to the picture.
+    /// [`TileBuffer::resolve`] for the colour of what is not blended, which most pictures are.
+    fn resolve_color<const S: usize>(
+        &mut self,
+        scene: &Scene<'_, S>,
+        tile: usize,
+        weight: f32,
+        first: bool,
+        target: &mut TileTarget<'_>,
+    ) {
+        let [x0, y0, ..] = scene.grid.tile_box(tile);
+        let Self { waiting, known_colors, .. } = self;
+        let mut colors = Colors::new(known_colors);
+        let side = scene.grid.tile.unsigned_abs() as usize;
+        for ((y, row), waiting) in (y0..).zip(&mut target.color).zip(waiting.chunks_exact(side * S))
+        {
+            let samples = waiting.as_chunks::<S>().0;
+            for ((x, pixel), references) in (x0..).zip(row.iter_mut()).zip(samples) {
+                let mut sum = Vec4::ZERO;
+                if references.iter().any(|&reference| reference != NONE) {
+                    colors.each(scene, x, y, references, |mask, shaded, _| {
+                        sum += shaded[0] * mask.count_ones() as f32;
+                    });
+                }
+                let before = if first { Vec4::ZERO } else { *pixel };
+                *pixel = before + sum * weight;
+            }
+        }
+    }
+
+    /// Adds the tile's samples, each with weight `weight`, to the picture; if `first`, to nothing.
     pub(crate) fn resolve<const S: usize>(
         &mut self,
         scene: &Scene<'_, S>,
         tile: usize,
         weight: f32,
+        first: bool,
         target: &mut TileTarget<'_>,
     ) {
-        let [x0, y0, x1, y1] = scene.grid.tile_box(tile);
         let layered = self.layers.iter().any(|layer| !layer.is_empty()) || !self.ids.is_empty();
-        let mut last = None;
+        if !layered && scene.layers == [true, false, false] && target.depth.is_empty() {
+            self.resolve_color(scene, tile, weight, first, target);
+            return;
+        }
+        let [x0, y0, x1, y1] = scene.grid.tile_box(tile);
+        let Self { keys, waiting, layers, ids, known_colors, .. } = self;
+        let mut colors = Colors::new(known_colors);
         for y in y0..y1 {
             let row = usize::try_from(y - y0).expect("inside the tile");
             for x in x0..x1 {
                 let column = usize::try_from(x - x0).expect("inside the tile");
-                let first = pixel_index(x - x0, y - y0, scene.grid.tile) * S;
-                let keys = &self.keys[first..first + S];
+                let at = index(x - x0, y - y0, scene.grid.tile) * S;
+                let keys: &[f32; S] = keys[at..at + S].try_into().expect("S samples");
                 let nearest = (1..S).fold(0, |best, s| if keys[s] > keys[best] { s } else { best });
                 let mut sums = [Vec4::ZERO; 3];
                 let mut id = EMPTY_ID;
                 if layered {
-                    for (sum, layer) in sums.iter_mut().zip(&self.layers) {
+                    for (sum, layer) in sums.iter_mut().zip(&*layers) {
                         if !layer.is_empty() {
-                            *sum = layer[first..first + S].iter().sum();
+                            *sum = layer[at..at + S].iter().sum();
                         }
                     }
-                    id = self.ids.get(first + nearest).copied().unwrap_or(EMPTY_ID);
+                    id = ids.get(at + nearest).copied().unwrap_or(EMPTY_ID);
                 } else {
-                    let references: [u32; S] =
-                        self.waiting[first..first + S].try_into().expect("S samples");
-                    for_each_shaded(
-                        scene,
-                        x,
-                        y,
-                        &references,
-                        &mut last,
-                        |mask, shaded, shape_id| {
-                            let count = mask.count_ones() as f32;
-                            for (sum, source) in sums.iter_mut().zip(shaded) {
-                                *sum += source * count;
-                            }
-                            if mask >> nearest & 1 == 1 {
-                                id = shape_id;
-                            }
-                        },
-                    );
+                    let references: &[u32; S] = waiting[at..at + S].try_into().expect("S samples");
+                    colors.each(scene, x, y, references, |mask, shaded, shape_id| {
+                        let count = mask.count_ones() as f32;
+                        for (sum, source) in sums.iter_mut().zip(shaded) {
+                            *sum += source * count;
+                        }
+                        if mask >> nearest & 1 == 1 {
+                            id = shape_id;
+                        }
+                    });
                 }
                 let wanted = [&mut target.color, &mut target.albedo, &mut target.normal];
                 for (rows, sum) in wanted.into_iter().zip(sums) {
                     if let Some(row) = rows.get_mut(row) {
-                        row[column] += sum * weight;
+                        let before = if first { Vec4::ZERO } else { row[column] };
+                        row[column] = before + sum * weight;
                     }
                 }
                 let key = keys[nearest];
-                if key == f32::NEG_INFINITY {
-                    continue;
-                }
-                let depth = if scene.view.is_orthographic() { -key } else { 1.0 / key };
-                let mut is_nearest = true;
+                let depth = if key == f32::NEG_INFINITY {
+                    f32::INFINITY
+                } else if scene.view.is_orthographic() {
+                    -key
+                } else {
+                    1.0 / key
+                };
+                let mut is_nearest = depth < f32::INFINITY;
                 if let Some(row) = target.depth.get_mut(row) {
-                    is_nearest = depth < row[column];
-                    row[column] = row[column].min(depth);
+                    let before = if first { f32::INFINITY } else { row[column] };
+                    is_nearest = depth < before;
+                    row[column] = before.min(depth);
                 }
-                if is_nearest && let Some(row) = target.ids.get_mut(row) {
-                    row[column] = id;
+                if let Some(row) = target.ids.get_mut(row)
+                    && (first || is_nearest)
+                {
+                    row[column] = if is_nearest { id } else { EMPTY_ID };
                 }
             }
         }
     }
 }
 
-/// The shape that was shaded last: its neighbours in the picture are often of the same one.
-struct LastShaded<'a> {
-    reference: u32,
+/// Writes to a picture what a tile without shapes shows: nothing.
+pub(crate) fn leave_blank(target: &mut TileTarget<'_>) {
+    for rows in [&mut target.color, &mut target.albedo, &mut target.normal] {
+        rows.iter_mut().for_each(|row| row.fill(Vec4::ZERO));
+    }
+    target.depth.iter_mut().for_each(|row| row.fill(f32::INFINITY));
+    target.ids.iter_mut().for_each(|row| row.fill(EMPTY_ID));
+}
+
+/// A shape and the tile it is drawn into.
+struct Target<'a> {
+    tile_box: [i32; 4],
+    style: &'a Style<'a>,
     shape: &'a Shape,
-    material: Material<'a>,
-    weigher: Weigher,
-    id: u32,
+    unit: u32,
+    index: u32,
 }
 
-impl<'a> LastShaded<'a> {
-    fn new<const S: usize>(scene: &Scene<'a, S>, reference: u32) -> Self {
-        let unit = &scene.units[(reference >> SHAPE_BITS) as usize];
-        let shape = &unit.shapes[(reference & ((1 << SHAPE_BITS) - 1)) as usize];
-        let material = Material::new(scene.list, unit, shape);
-        let weigher = Weigher::new(scene.view, &material, unit, shape);
-        let id = material.source_id(shape);
-        Self { reference, shape, material, weigher, id }
+impl Target<'_> {
+    /// What stands for the shape in a sample.
+    #[inline(always)]
+    fn reference(&self) -> u32 {
+        self.unit << SHAPE_BITS | self.index
+    }
+
+    fn weigher<const S: usize>(&self, scene: &Scene<'_, S>) -> Weigher {
+        let unit = &scene.units[self.unit as usize];
+        Weigher::new(scene.view, &self.style.material, unit, self.index as usize)
+    }
+
+    /// Draws it and counts the pixels that it covers.
+    #[inline]
+    fn draw<const S: usize>(
+        &self,
+        scene: &Scene<'_, S>,
+        keys: &mut [f32],
+        sink: Sink<'_, '_>,
+    ) -> u64 {
+        scene.level.run(Visible {
+            lanes: &scene.lanes,
+            shape: self.shape,
+            tile_box: self.tile_box,
+            side: scene.grid.tile,
+            slab_keys: self.style.slab_keys,
+            dither: self.style.dither,
+            keys,
+            sink,
+        })
     }
 }
 
-/// Colours a pixel's waiting samples: `visit(mask, colours, id)` once for each shape, or once a
-/// sample where a texture may change between samples.
-#[inline]
-fn for_each_shaded<'a, const S: usize>(
-    scene: &Scene<'a, S>,
-    x: i32,
-    y: i32,
-    references: &[u32; S],
-    last: &mut Option<LastShaded<'a>>,
-    mut visit: impl FnMut(u32, [Vec4; 3], u32),
-) {
-    let mut left = 0_u32;
-    for (s, &reference) in references.iter().enumerate() {
-        left |= u32::from(reference != NONE) << s;
-    }
-    while left != 0 {
-        let reference = references[left.trailing_zeros() as usize];
-        let mut mask = 0_u32;
-        for (s, &other) in references.iter().enumerate() {
-            mask |= u32::from(other == reference) << s;
-        }
-        left &= !mask;
-        let known = last.take().filter(|last| last.reference == reference);
-        let shaded = last.insert(known.unwrap_or_else(|| LastShaded::new(scene, reference)));
-        let LastShaded { shape, material, weigher, id, .. } = shaded;
-        if material.is_smooth() {
-            let sum: Vec2 = bits(mask).map(|s| scene.point(x, y, s)).sum();
-            let centroid = sum * (1.0 / mask.count_ones() as f32);
-            visit(mask, material.shade(shape, weigher, centroid, 0.0, scene.layers), *id);
-        } else {
-            let lod = material.lod(weigher, Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
-            for s in bits(mask) {
-                let point = scene.point(x, y, s);
-                visit(1 << s, material.shade(shape, weigher, point, lod, scene.layers), *id);
+/// A texture's level of detail, which is the same for all samples of a pixel.
+#[derive(Default)]
+struct Lod(Option<([i32; 2], f32)>);
+
+impl Lod {
+    #[inline]
+    fn at(&mut self, material: &Material<'_>, weigher: &Weigher, sample: &Sample) -> f32 {
+        match self.0 {
+            Some((pixel, lod)) if pixel == sample.pixel => lod,
+            _ => {
+                let lod = material.lod(weigher, sample.pixel_center());
+                self.0 = Some((sample.pixel, lod));
+                lod
             }
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_fade_and_its_complement_share_the_samples() {
-        for fade in [0.0, 0.25, 0.7] {
-            let mut kept = 0;
-            for (x, y) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
-                let here = dither_mask(x, y, 4, 7, fade);
-                let there = if fade == 0.0 { 0b1111 } else { dither_mask(x, y, 4, 7, fade - 1.0) };
-                assert_eq!(here ^ there, 0b1111, "each sample once at ({x}, {y})");
-                kept += here.count_ones();
-            }
-            let share = f64::from(kept) / f64::from(64 * 64 * 4);
-            // four standard deviations of 16384 draws
-            assert!((share - f64::from(fade)).abs() < 0.016, "{share} for {fade}");
         }
     }
 }
