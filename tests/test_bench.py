@@ -81,6 +81,7 @@ def test_raster_rows_compare_the_same_picture(tmp_path):
         "llvmpipe",
         "ours, scalar",
         "the slow twin",
+        "bound: a copy of the bytes touched",
     }
     compared = [row for row in rows if row["peer_error"] is not None]
     assert len(compared) == 4, "at 1 and 4 samples, on 1 and 2 threads"

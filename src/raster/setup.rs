@@ -77,6 +77,19 @@ pub(crate) struct Origin {
     pub(crate) vertices: [u32; 3],
     /// Index of the primitive in the item's index buffer.
     pub(crate) primitive: u32,
+    /// The shape's tag again: whoever colours it can do without the shape.
+    tag: u32,
+}
+
+impl Origin {
+    pub(crate) fn has(&self, flag: u32) -> bool {
+        self.tag & flag != 0
+    }
+
+    /// Index into the unit's `segments`.
+    pub(crate) fn segment(&self) -> u32 {
+        self.tag >> FLAG_BITS
+    }
 }
 
 /// Consecutive primitives of one item, for one instance.
@@ -263,8 +276,8 @@ impl Unit {
         winding: u32,
     ) {
         if let Some(shape) = triangle(points, context.tag | winding, context.grid) {
+            self.origins.push(Origin { vertices, primitive, tag: shape.tag });
             self.shapes.push(shape);
-            self.origins.push(Origin { vertices, primitive });
         }
     }
 
@@ -308,8 +321,10 @@ impl Unit {
                 let vertices = corners.map(|c| base + u32::from(c));
                 let first = self.shapes.len();
                 self.extend(context, points, vertices, primitive, 0);
-                for shape in &mut self.shapes[first..] {
+                let made = self.shapes[first..].iter_mut().zip(&mut self.origins[first..]);
+                for (shape, origin) in made {
                     shape.tag = shape.tag & !flags::FRONT | side;
+                    origin.tag = shape.tag;
                 }
             }
         }
@@ -339,6 +354,7 @@ impl Unit {
             let Some(pixels) = context.grid.pixel_box(low, high) else { continue };
             let source = vertex.source as usize;
             let side = placing.side_seen(buffers.positions[source], buffers.normals[source]);
+            let tag = context.tag | flags::RECT | side;
             self.shapes.push(Shape {
                 x: [low[0], high[0], 0],
                 y: [low[1], high[1], 0],
@@ -346,9 +362,9 @@ impl Unit {
                 key_range: [vertex.key; 2],
                 origin: [vertex.x, vertex.y],
                 pixels,
-                tag: context.tag | flags::RECT | side,
+                tag,
             });
-            self.origins.push(Origin { vertices: [u32_from(at); 3], primitive });
+            self.origins.push(Origin { vertices: [u32_from(at); 3], primitive, tag });
         }
     }
 
@@ -492,6 +508,7 @@ impl Kernel for SetUp<'_> {
             // counter-clockwise as seen, since y points down
             let [b, c] = if is_turned { [2, 1] } else { [1, 2] };
             let winding = context.placing.stored_winding() ^ (u32::from(!is_turned) * flags::FRONT);
+            let tag = context.tag | winding;
             unit.shapes.push(Shape {
                 x: [steps[0][0][lane], steps[0][b][lane], steps[0][c][lane]],
                 y: [steps[1][0][lane], steps[1][b][lane], steps[1][c][lane]],
@@ -504,9 +521,9 @@ impl Kernel for SetUp<'_> {
                     pixel_u16(pixels[2][lane]),
                     pixel_u16(pixels[3][lane]),
                 ],
-                tag: context.tag | winding,
+                tag,
             });
-            unit.origins.push(Origin { vertices, primitive });
+            unit.origins.push(Origin { vertices, primitive, tag });
         }
     }
 }

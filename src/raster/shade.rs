@@ -226,20 +226,19 @@ impl Smooth {
     /// `None` for a shape that has a texture, blends or reaches behind the eye.
     #[inline(always)]
     pub(crate) fn new(view: &View, list: &DrawList, unit: &Unit, index: usize) -> Option<Self> {
-        let shape = &unit.shapes[index];
-        let segment = &unit.segments[shape.segment() as usize];
+        let origin = &unit.origins[index];
+        let segment = &unit.segments[origin.segment() as usize];
         let item = &list.items[segment.item as usize];
         let opaque = item.blend != Blend::Over && item.surface == Surface::VertexColor;
-        if !opaque || shape.has(flags::CLIPPED) {
+        if !opaque || origin.has(flags::CLIPPED) {
             return None;
         }
-        let origin = unit.origins[index];
         let corners = origin.vertices.map(|v| &unit.vertices[v as usize]);
         let buffers = list.vertices_of(item);
-        let side = if shape.has(flags::FRONT) { &buffers.front } else { &buffers.back };
+        let side = if origin.has(flags::FRONT) { &buffers.front } else { &buffers.back };
         let ids = &list.indices_of(item).source_ids;
         Some(Self {
-            planar: Planar::new(view, corners, shape.has(flags::RECT)),
+            planar: Planar::new(view, corners, origin.has(flags::RECT)),
             colors: corners.map(|c| side[c.source as usize].extend(1.0)),
             tint: list.instances[segment.instance as usize].tint.with_w(1.0),
             id: ids.get(origin.primitive as usize).copied().unwrap_or(origin.primitive),

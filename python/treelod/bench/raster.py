@@ -8,6 +8,8 @@ stays warm.
 
 from __future__ import annotations
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
 from typing import TYPE_CHECKING
@@ -87,6 +89,7 @@ def rows(*, repeats: int, small: bool) -> Iterator[Row]:
                     "ours": partial(_draw, best, scene, camera, samples, threads),
                     "scalar": partial(_draw, scalar, scene, camera, samples, threads),
                     "llvmpipe": partial(_draws, peer, draws),
+                    "copy": _copy(bytes_touched(plant, size), threads),
                 }
                 secs = interleaved(runs, repeats=repeats, warmup=2)
                 # more samples than it knows are several pictures of it, which nothing here averages
@@ -102,6 +105,7 @@ def rows(*, repeats: int, small: bool) -> Iterator[Row]:
                 aim=AIMS.get(samples),
             )
             yield row(peer="ours, scalar", peer_secs=secs["scalar"])
+            yield row(peer="bound: a copy of the bytes touched", peer_secs=secs["copy"])
     yield _twin_row(scene, filling_camera(plant, TWIN_SIZE), name, repeats)
 
 
@@ -125,6 +129,47 @@ def filling_camera(plant: Plant, size: tuple[int, int]) -> Camera:
     distance = MARGIN * extent[1] / 2.0 / np.tan(np.deg2rad(45.0) / 2.0)
     eye = center + np.array([0.0, 0.0, distance])
     return Camera.perspective(tuple(eye), tuple(center), fov_y_deg=45.0, size=size)
+
+
+def bytes_touched(plant: Plant, size: tuple[int, int]) -> int:
+    """
+    Return the bytes that a frame must at least read or write.
+
+    Each vertex is read, placed (24 bytes) and read again; each triangle's indices are read, its
+    shape (64 bytes) and origin (20 bytes) are written and read, and so is its place in a tile's
+    list (4 bytes); each pixel is written.
+
+    Parameters
+    ----------
+    plant : Plant
+        What is drawn.
+    size : tuple of 2 ints
+        Width and height in pixels.
+
+    Returns
+    -------
+    int
+    """
+    vertices = len(plant.wood.positions) + len(plant.foliage.mesh.positions)
+    per_vertex = 12 + 2 * 24
+    per_triangle = 12 + 2 * (64 + 20 + 4)
+    return vertices * per_vertex + plant.triangle_count * per_triangle + size[0] * size[1] * 16
+
+
+def _copy(byte_count: int, threads: int) -> Callable[[], float]:
+    """Copy half as many bytes, which reads and writes as many, and time it."""
+    source = np.ones(byte_count // 2, np.uint8)
+    target = np.empty_like(source)
+    parts = list(zip(np.array_split(target, threads), np.array_split(source, threads), strict=True))
+    pool = ThreadPoolExecutor(threads)
+
+    def run() -> float:
+        start = time.perf_counter()
+        # copying releases the interpreter's lock
+        list(pool.map(lambda part: np.copyto(*part), parts))
+        return time.perf_counter() - start
+
+    return run
 
 
 def _draw(
