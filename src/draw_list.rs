@@ -14,6 +14,9 @@ use crate::plant::Mesh;
 use crate::texture::{Sampler, Texture};
 use crate::view::View;
 
+/// Largest width of a line and side of a point: that of the largest picture.
+pub const MAX_SIZE_PX: f32 = 16384.0;
+
 /// Vertex arrays of one length, and the indices of a kind of primitive into them.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Buffers {
@@ -312,6 +315,13 @@ impl DrawList {
                 && texture as usize >= self.textures.len()
             {
                 return Err(wrong(number, format!("no texture {texture}")));
+            }
+            if let Primitive::Lines { width_px: size } | Primitive::Points { size_px: size } =
+                item.primitive
+                && !(size > 0.0 && size <= MAX_SIZE_PX)
+            {
+                let what = format!("{size} pixels are not in (0, {MAX_SIZE_PX}]");
+                return Err(wrong(number, what));
             }
             let indices = &self.indices_of(item).indices;
             let primitive_count = indices.len() / item.primitive.index_count();

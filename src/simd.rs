@@ -5,7 +5,9 @@
 
 use std::sync::OnceLock;
 
-use fearless_simd::{Avx2, Fallback, Simd, Sse2};
+#[cfg(target_arch = "x86_64")]
+use fearless_simd::{Avx2, Sse2};
+use fearless_simd::{Fallback, Simd};
 
 use crate::error::LodError;
 
@@ -15,8 +17,10 @@ pub enum Level {
     /// No vectors of ours; the compiler may still find some.
     Scalar(Fallback),
     /// Four lanes, which every x86-64 has.
+    #[cfg(target_arch = "x86_64")]
     Sse2(Sse2),
     /// Eight lanes.
+    #[cfg(target_arch = "x86_64")]
     Avx2(Avx2),
 }
 
@@ -32,11 +36,15 @@ impl Level {
     /// # Errors
     /// [`LodError::Invalid`] for a name that is none of [`NAMES`], or if this machine lacks it.
     pub fn named(argument: &'static str, name: &str) -> Result<Self, LodError> {
+        #[cfg(target_arch = "x86_64")]
         let best = fearless_simd::Level::new();
         let found = match name {
             "scalar" => fallback().map(Self::Scalar),
+            #[cfg(target_arch = "x86_64")]
             "sse2" => best.as_sse2().map(Self::Sse2),
+            #[cfg(target_arch = "x86_64")]
             "avx2" => best.as_avx2().map(Self::Avx2),
+            _ if NAMES.contains(&name) => None,
             _ => {
                 let why = format!("must be one of {NAMES:?}, got {name:?}");
                 return Err(LodError::Invalid { name: argument, why });
@@ -75,10 +83,12 @@ impl Level {
     pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self {
             Self::Scalar(simd) => kernel.run(simd),
+            #[cfg(target_arch = "x86_64")]
             Self::Sse2(simd) => simd.vectorize(
                 #[inline(always)]
                 || kernel.run(simd),
             ),
+            #[cfg(target_arch = "x86_64")]
             Self::Avx2(simd) => simd.vectorize(
                 #[inline(always)]
                 || kernel.run(simd),

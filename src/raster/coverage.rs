@@ -107,7 +107,7 @@ impl Lanes {
         for lane in 0..LANE_COUNT {
             let at_x = x * SUBPIXEL_COUNT + self.steps[block][0][lane];
             let at_y = y * SUBPIXEL_COUNT + self.steps[block][1][lane];
-            let inside = if shape.has(flags::RECT) {
+            let inside = if shape.tag.has(flags::RECT) {
                 contains(shape, at_x, at_y)
             } else {
                 let mut edges = edges.iter().enumerate();
@@ -118,10 +118,10 @@ impl Lanes {
         bits
     }
 
-    /// How many pixels have a bit set. `block` counts up within a pixel; `seen` is the pixel's bits
-    /// so far.
+    /// How many pixels have a bit set that had none in the blocks before.
     #[inline(always)]
-    pub(crate) fn pixel_count(&self, bits: u64, block: usize, seen: &mut u64) -> u64 {
+    pub(crate) fn pixel_count<S: Simd>(&self, hit: &Covered<S>, before: &mut Before) -> u64 {
+        let bits = hit.bits;
         if self.sample_count <= 4 {
             // the lowest bit of each pixel
             let (pixels, joined) = match self.sample_count {
@@ -130,9 +130,22 @@ impl Lanes {
             };
             return u64::from((joined & pixels).count_ones());
         }
-        let before = if block == 0 { 0 } else { *seen };
-        *seen = before | bits;
-        u64::from(before == 0) & u64::from(bits != 0)
+        let pixel = hit.at.wrapping_sub(hit.block.wrapping_mul(LANE_COUNT));
+        let counted = before.pixel == pixel && before.is_counted;
+        *before = Before { pixel, is_counted: counted | (bits != 0) };
+        u64::from(!counted & (bits != 0))
+    }
+}
+
+/// The pixel that [`Lanes::pixel_count`] was asked about last.
+pub(crate) struct Before {
+    pixel: usize,
+    is_counted: bool,
+}
+
+impl Default for Before {
+    fn default() -> Self {
+        Self { pixel: usize::MAX, is_counted: false }
     }
 }
 
@@ -168,7 +181,7 @@ pub(crate) fn covered<S: Simd, const BLOCKS: usize, const ALL: bool>(
         [Edge::new(shape, 0, x0, y0), Edge::new(shape, 1, x0, y0), Edge::new(shape, 2, x0, y0)];
     let row_length = side.wrapping_mul(lanes.sample_count);
     let vector_length = BLOCKS.wrapping_mul(LANE_COUNT);
-    if shape.has(flags::RECT | flags::WIDE) {
+    if shape.tag.has(flags::RECT | flags::WIDE) {
         let tested = Edge::leave_out_uncrossed(&mut edges, shape, pixels);
         if tested == Tested::Nothing {
             return;
@@ -215,6 +228,22 @@ pub(crate) fn covered<S: Simd, const BLOCKS: usize, const ALL: bool>(
     let zero = i32x8::splat(simd, 0);
     let columns = i32x8::simd_from(simd, lanes.columns);
     let (mut y, mut row_at) = (y0, 0_usize);
+    if BLOCKS == 1 && x1.wrapping_sub(x0) < lanes.column_count {
+        // most triangles are no wider than a vector
+        let beyond = i32x8::splat(simd, x1.wrapping_sub(x0)) - columns;
+        let [mut a, mut b, mut c] = row[0];
+        while y <= y1 {
+            let inside = (a | b | c | beyond).simd_ge(zero);
+            let bits = inside.to_bitmask();
+            if ALL || bits != 0 {
+                visit(Covered { x: x0, y, block: 0, at: row_at, inside, bits });
+            }
+            (a, b, c) = (a + down[0], b + down[1], c + down[2]);
+            y = y.wrapping_add(1);
+            row_at = row_at.wrapping_add(row_length);
+        }
+        return;
+    }
     while y <= y1 {
         let mut here = row;
         let (mut x, mut at) = (x0, row_at);
@@ -310,7 +339,7 @@ impl Edge {
         shape: &Shape,
         [x0, y0, x1, y1]: PixelBox,
     ) -> Tested {
-        if shape.has(flags::RECT) {
+        if shape.tag.has(flags::RECT) {
             return Tested::Singly;
         }
         // a vector may reach seven pixels beyond the box

@@ -54,7 +54,8 @@ pub struct Stats {
     pub point_count: u64,
     /// Vertices transformed.
     pub vertex_count: u64,
-    /// (primitive, pixel) pairs of which a sample is covered, hidden ones included.
+    /// (primitive, pixel) pairs of which a sample is covered, hidden ones included, summed over the
+    /// sets of up to 16 samples that a picture is drawn in.
     pub fragment_count: u64,
     /// Threads of the pool that drew it.
     pub thread_count: usize,

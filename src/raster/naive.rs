@@ -126,7 +126,7 @@ fn sample(list: &DrawList, view: &View, units: &[Unit], at: [i32; 2]) -> (Vec4, 
 
 /// Whether a shape covers a point, by the definition of the top-left rule.
 fn contains(shape: &Shape, [x, y]: [i32; 2]) -> bool {
-    if shape.has(flags::RECT) {
+    if shape.tag.has(flags::RECT) {
         return (shape.x[0]..=shape.x[1]).contains(&x) && (shape.y[0]..=shape.y[1]).contains(&y);
     }
     (0..3).all(|from| {

@@ -6,6 +6,8 @@
 //! the near plane or far outside the picture are clipped in f64, one by one, at their place in the
 //! order.
 
+mod lines_and_points;
+
 use std::ops::Range;
 
 use fearless_simd::prelude::*;
@@ -38,8 +40,30 @@ pub(crate) mod flags {
     pub(crate) const WIDE: u32 = 8;
 }
 
-/// Bits of a shape's tag that hold flags; its segment is in the others.
-const FLAG_BITS: u32 = 8;
+/// A shape's segment, as an index into its unit's `segments`, and `flags`.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tag(u32);
+
+impl Tag {
+    /// Bits that hold flags; the segment is in the others.
+    const FLAG_BITS: u32 = 8;
+
+    fn of_segment(number: u32) -> Self {
+        Self(number << Self::FLAG_BITS)
+    }
+
+    fn with(self, flags: u32) -> Self {
+        Self(self.0 | flags)
+    }
+
+    pub(crate) fn has(self, flag: u32) -> bool {
+        self.0 & flag != 0
+    }
+
+    pub(crate) fn segment(self) -> u32 {
+        self.0 >> Self::FLAG_BITS
+    }
+}
 
 /// What a triangle or rectangle needs to be drawn: one cache line.
 #[derive(Clone, Debug)]
@@ -54,19 +78,7 @@ pub(crate) struct Shape {
     pub(crate) origin: [f32; 2],
     /// Pixels of the picture that it can touch: x0, y0, x1, y1, ends inclusive.
     pub(crate) pixels: [u16; 4],
-    /// Index into the unit's `segments`, and `flags`.
-    tag: u32,
-}
-
-impl Shape {
-    pub(crate) fn has(&self, flag: u32) -> bool {
-        self.tag & flag != 0
-    }
-
-    /// Index into the unit's `segments`.
-    pub(crate) fn segment(&self) -> u32 {
-        self.tag >> FLAG_BITS
-    }
+    pub(crate) tag: Tag,
 }
 
 /// Where a shape comes from: what only its colour needs.
@@ -78,18 +90,7 @@ pub(crate) struct Origin {
     /// Index of the primitive in the item's index buffer.
     pub(crate) primitive: u32,
     /// The shape's tag again: whoever colours it can do without the shape.
-    tag: u32,
-}
-
-impl Origin {
-    pub(crate) fn has(&self, flag: u32) -> bool {
-        self.tag & flag != 0
-    }
-
-    /// Index into the unit's `segments`.
-    pub(crate) fn segment(&self) -> u32 {
-        self.tag >> FLAG_BITS
-    }
+    pub(crate) tag: Tag,
 }
 
 /// Consecutive primitives of one item, for one instance.
@@ -122,8 +123,8 @@ struct Context<'a> {
     item: &'a Item,
     grid: &'a Grid,
     placing: Placing,
-    /// Index of the segment, in its place in a tag.
-    tag: u32,
+    /// The segment's, without flags.
+    tag: Tag,
     primitives: Range<u32>,
 }
 
@@ -160,7 +161,7 @@ impl Unit {
                 item,
                 grid,
                 placing: Placing::new(view, instance.linear, instance.translation),
-                tag: number << FLAG_BITS,
+                tag: Tag::of_segment(number),
                 primitives: segment.primitives.clone(),
             };
             match item.primitive {
@@ -275,96 +276,9 @@ impl Unit {
         primitive: u32,
         winding: u32,
     ) {
-        if let Some(shape) = triangle(points, context.tag | winding, context.grid) {
+        if let Some(shape) = triangle(points, context.tag.with(winding), context.grid) {
             self.origins.push(Origin { vertices, primitive, tag: shape.tag });
             self.shapes.push(shape);
-        }
-    }
-
-    fn lines(&mut self, context: &Context<'_>, width_px: f32) {
-        let Context { list, item, placing, .. } = context;
-        let buffers = list.vertices_of(item);
-        let indices = &list.indices_of(item).indices;
-        for primitive in context.primitives.clone() {
-            let at = primitive as usize * 2;
-            let ends = [indices[at], indices[at + 1]];
-            let local = ends.map(|v| buffers.positions[v as usize]);
-            self.vertex_count += 2;
-            let ends_local = local.map(|p| p.as_dvec3());
-            let cut = placing.exact.line(ends_local, f64::from(GUARD_PX));
-            let Some([a, b]) = cut else { continue };
-            let along = [b[0] - a[0], b[1] - a[1]];
-            let length = libm::hypotf(along[0], along[1]);
-            if length == 0.0 {
-                continue;
-            }
-            let half = width_px * 0.5 / length;
-            let across = [-along[1] * half, along[0] * half];
-            let corner = |end: [f32; 3], sign: f32, source: u32| {
-                let (x, y) = (end[0] + sign * across[0], end[1] + sign * across[1]);
-                ScreenVertex { x, y, key: end[2], source, snapped: [snap(x), snap(y)] }
-            };
-            let quad = [
-                corner(a, -1.0, ends[0]),
-                corner(b, -1.0, ends[1]),
-                corner(b, 1.0, ends[1]),
-                corner(a, 1.0, ends[0]),
-            ];
-            if quad.iter().any(|c| !(c.x.abs() <= GUARD_PX && c.y.abs() <= GUARD_PX)) {
-                continue;
-            }
-            let side = placing.side_seen(local[0], buffers.normals[ends[0] as usize]);
-            let base = u32::try_from(self.vertices.len()).expect("a unit is small");
-            self.vertices.extend(quad);
-            for corners in [[0_u8, 1, 2], [0, 2, 3]] {
-                let points = corners.map(|c| quad[usize::from(c)]).map(|c| [c.x, c.y, c.key]);
-                let vertices = corners.map(|c| base + u32::from(c));
-                let first = self.shapes.len();
-                self.extend(context, points, vertices, primitive, 0);
-                let made = self.shapes[first..].iter_mut().zip(&mut self.origins[first..]);
-                for (shape, origin) in made {
-                    shape.tag = shape.tag & !flags::FRONT | side;
-                    origin.tag = shape.tag;
-                }
-            }
-        }
-    }
-
-    fn points(&mut self, context: &Context<'_>, size_px: f32) {
-        let Context { level, list, item, placing, primitives, .. } = context;
-        let buffers = list.vertices_of(item);
-        let range = primitives.start as usize..primitives.end as usize;
-        let indices = &list.indices_of(item).indices[range];
-        let half = size_px * 0.5;
-        let base = self.vertices.len();
-        let chosen = Chosen::Indexed(&buffers.positions, indices);
-        placing.vertices(*level, chosen, &mut self.vertices);
-        self.vertex_count += indices.len() as u64;
-        for (at, primitive) in (base..).zip(primitives.clone()) {
-            let vertex = self.vertices[at];
-            if vertex.key.is_nan() {
-                continue;
-            }
-            // a sample on the right or lower edge belongs to the next square
-            let low = [snap(vertex.x - half), snap(vertex.y - half)];
-            let high = [snap(vertex.x + half) - 1, snap(vertex.y + half) - 1];
-            if low[0] > high[0] || low[1] > high[1] {
-                continue;
-            }
-            let Some(pixels) = context.grid.pixel_box(low, high) else { continue };
-            let source = vertex.source as usize;
-            let side = placing.side_seen(buffers.positions[source], buffers.normals[source]);
-            let tag = context.tag | flags::RECT | side;
-            self.shapes.push(Shape {
-                x: [low[0], high[0], 0],
-                y: [low[1], high[1], 0],
-                key: [vertex.key, 0.0, 0.0],
-                key_range: [vertex.key; 2],
-                origin: [vertex.x, vertex.y],
-                pixels,
-                tag,
-            });
-            self.origins.push(Origin { vertices: [u32_from(at); 3], primitive, tag });
         }
     }
 
@@ -508,7 +422,7 @@ impl Kernel for SetUp<'_> {
             // counter-clockwise as seen, since y points down
             let [b, c] = if is_turned { [2, 1] } else { [1, 2] };
             let winding = context.placing.stored_winding() ^ (u32::from(!is_turned) * flags::FRONT);
-            let tag = context.tag | winding;
+            let tag = context.tag.with(winding);
             unit.shapes.push(Shape {
                 x: [steps[0][0][lane], steps[0][b][lane], steps[0][c][lane]],
                 y: [steps[1][0][lane], steps[1][b][lane], steps[1][c][lane]],
@@ -556,7 +470,7 @@ fn slopes<S: Simd>(
 
 /// A triangle from corners (x, y, key), or nothing where no sample can be covered. `tag` as in
 /// [`Unit::extend`].
-fn triangle(points: [[f32; 3]; 3], tag: u32, grid: &Grid) -> Option<Shape> {
+fn triangle(points: [[f32; 3]; 3], tag: Tag, grid: &Grid) -> Option<Shape> {
     let mut x = points.map(|p| snap(p[0]));
     let mut y = points.map(|p| snap(p[1]));
     let edge = |to: usize| (i64::from(x[to] - x[0]), i64::from(y[to] - y[0]));
@@ -571,13 +485,13 @@ fn triangle(points: [[f32; 3]; 3], tag: u32, grid: &Grid) -> Option<Shape> {
         x.swap(1, 2);
         y.swap(1, 2);
     } else {
-        tag ^= flags::FRONT;
+        tag.0 ^= flags::FRONT;
     }
     let low = [x[0].min(x[1]).min(x[2]), y[0].min(y[1]).min(y[2])];
     let high = [x[0].max(x[1]).max(x[2]), y[0].max(y[1]).max(y[2])];
     let pixels = grid.pixel_box(low, high)?;
     if high[0] - low[0] >= WIDE || high[1] - low[1] >= WIDE {
-        tag |= flags::WIDE;
+        tag = tag.with(flags::WIDE);
     }
     let [[x0, y0, k0], [x1, y1, k1], [x2, y2, k2]] = points;
     let area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);

@@ -35,7 +35,7 @@ fn mix<T: Mixed>([a, b, c]: [T; 3], weights: [f32; 3]) -> T {
 
 impl<'a> Material<'a> {
     pub(crate) fn new(list: &'a DrawList, unit: &Unit, shape: &Shape) -> Self {
-        let segment = &unit.segments[shape.segment() as usize];
+        let segment = &unit.segments[shape.tag.segment() as usize];
         let item = &list.items[segment.item as usize];
         let texture = match item.surface {
             Surface::VertexColor => None,
@@ -103,7 +103,7 @@ impl<'a> Material<'a> {
     ) -> [Vec4; 3] {
         let weights = weigher.at(at);
         let sources = weigher.sources;
-        let front = shape.has(flags::FRONT);
+        let front = shape.tag.has(flags::FRONT);
         let tint = self.instance.tint;
         let mut alpha = 1.0;
         let mut texel = Vec3::ONE;
@@ -227,18 +227,18 @@ impl Smooth {
     #[inline(always)]
     pub(crate) fn new(view: &View, list: &DrawList, unit: &Unit, index: usize) -> Option<Self> {
         let origin = &unit.origins[index];
-        let segment = &unit.segments[origin.segment() as usize];
+        let segment = &unit.segments[origin.tag.segment() as usize];
         let item = &list.items[segment.item as usize];
         let opaque = item.blend != Blend::Over && item.surface == Surface::VertexColor;
-        if !opaque || origin.has(flags::CLIPPED) {
+        if !opaque || origin.tag.has(flags::CLIPPED) {
             return None;
         }
         let corners = origin.vertices.map(|v| &unit.vertices[v as usize]);
         let buffers = list.vertices_of(item);
-        let side = if origin.has(flags::FRONT) { &buffers.front } else { &buffers.back };
+        let side = if origin.tag.has(flags::FRONT) { &buffers.front } else { &buffers.back };
         let ids = &list.indices_of(item).source_ids;
         Some(Self {
-            planar: Planar::new(view, corners, origin.has(flags::RECT)),
+            planar: Planar::new(view, corners, origin.tag.has(flags::RECT)),
             colors: corners.map(|c| side[c.source as usize].extend(1.0)),
             tint: list.instances[segment.instance as usize].tint.with_w(1.0),
             id: ids.get(origin.primitive as usize).copied().unwrap_or(origin.primitive),
@@ -257,7 +257,7 @@ impl Weigher {
     pub(crate) fn new(view: &View, material: &Material<'_>, unit: &Unit, index: usize) -> Self {
         let shape = &unit.shapes[index];
         let vertices = unit.origins[index].vertices;
-        let (sources, kind) = if shape.has(flags::CLIPPED) {
+        let (sources, kind) = if shape.tag.has(flags::CLIPPED) {
             let instance = material.instance;
             let placing = Placing::new(view, instance.linear, instance.translation);
             let positions = &material.buffers.positions;
@@ -265,7 +265,7 @@ impl Weigher {
             (vertices, Kind::Clipped { space: Box::new(placing), corners })
         } else {
             let corners = vertices.map(|v| &unit.vertices[v as usize]);
-            let planar = Planar::new(view, corners, shape.has(flags::RECT));
+            let planar = Planar::new(view, corners, shape.tag.has(flags::RECT));
             (corners.map(|c| c.source), Kind::Planar(planar))
         };
         let buffers = material.buffers;

@@ -419,6 +419,48 @@ fn the_same_bytes_on_any_number_of_threads_and_in_batches() {
 }
 
 #[test]
+fn fragments_are_pixels_of_which_a_sample_is_covered() {
+    // thin enough that of some pixels only the later samples are covered, and wide enough for i64
+    let view = pixel_view(80, 80);
+    let thin = buffers(&[[1.0, 1.0, 0.0], [30.3, 75.1, 0.0], [30.6, 74.7, 0.0]], &[0, 1, 2]);
+    let large = buffers(&[[-9e4, 3.0, 0.0], [9e4, 40.2, 0.0], [9e4, 40.0, 0.0]], &[0, 1, 2]);
+    let point = buffers(&[[40.3, 40.6, 0.0]], &[0]);
+    let shapes = [
+        (Primitive::Triangles, thin),
+        (Primitive::Triangles, large),
+        (Primitive::Points { size_px: 0.7 }, point),
+    ];
+    for (primitive, data) in shapes {
+        for blend in [Blend::Opaque, Blend::Test(0.5), Blend::Over] {
+            for sample_count in [1, 4, 8, 16] {
+                let mut list = DrawList::default();
+                add(&mut list, &view, primitive, data.clone(), blend);
+                let frame = draw(&list, &view, sample_count);
+                let shown = frame.color.iter().filter(|pixel| pixel.w > 0.0).count() as u64;
+                let counted = frame.stats.fragment_count;
+                assert_eq!(counted, shown, "{primitive:?}, {blend:?}, {sample_count} samples");
+            }
+        }
+    }
+}
+
+#[test]
+fn sizes_that_no_picture_has_are_refused() {
+    let view = pixel_view(4, 4);
+    for size_px in [0.0, -1.0, 1e9, f32::NAN, f32::INFINITY] {
+        for primitive in [Primitive::Points { size_px }, Primitive::Lines { width_px: size_px }] {
+            let mut list = DrawList::default();
+            let data = buffers(&[[1.0, 1.0, 0.0], [2.0, 2.0, 0.0]], &[0, 1]);
+            add(&mut list, &view, primitive, data, Blend::Opaque);
+            let settings = Settings { sample_count: 1, outputs: ALL, background: Vec4::ZERO };
+            let drawn = Renderer::default().render(&list, &view, &settings, &Job::default());
+            let text = drawn.expect_err("refused").to_string();
+            assert!(text.contains("pixels are not in (0, 16384]"), "{primitive:?}: {text}");
+        }
+    }
+}
+
+#[test]
 fn the_same_bytes_at_every_level() {
     let levels = Level::all();
     for (seed, view) in (20..).zip(soup_views().iter().cycle()).take(8) {

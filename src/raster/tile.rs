@@ -138,7 +138,7 @@ impl<'a> Style<'a> {
         let instance = material.instance;
         Self {
             unit,
-            segment: shape.segment(),
+            segment: shape.tag.segment(),
             slab_keys: slab_keys(scene.view, material.item.slab),
             dither: (instance.fade != 1.0).then_some((instance.seed, instance.fade)),
             material,
@@ -148,7 +148,7 @@ impl<'a> Style<'a> {
     /// Whether it is the style of a shape.
     #[inline(always)]
     fn fits(&self, unit: u32, shape: &Shape) -> bool {
-        self.unit == unit && self.segment == shape.segment()
+        self.unit == unit && self.segment == shape.tag.segment()
     }
 }
 

@@ -4,7 +4,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, mask32x8, u32x8};
 use glam::Vec2;
 
-use crate::raster::coverage::{Covered, Lanes, covered};
+use crate::raster::coverage::{Before, Covered, Lanes, covered};
 use crate::raster::setup::Shape;
 use crate::simd::{Kernel, LANE_COUNT};
 
@@ -83,7 +83,7 @@ impl Visible<'_, '_> {
         let depth = Depth { lanes, shape, farthest, nearest };
         let row = index(0, 1, side);
         let mut count = 0_u64;
-        let mut before = 0;
+        let mut before = Before::default();
         if let Sink::Store { waiting, reference, write: true } = &mut sink
             && whole
             && dither.is_none()
@@ -98,7 +98,7 @@ impl Visible<'_, '_> {
                 row,
                 #[inline(always)]
                 |hit| {
-                    count = count.wrapping_add(lanes.pixel_count(hit.bits, hit.block, &mut before));
+                    count = count.wrapping_add(lanes.pixel_count(&hit, &mut before));
                     let at = first.wrapping_add(hit.at);
                     let stored = &mut keys[at..at.wrapping_add(LANE_COUNT)];
                     let key = depth.keys(simd, &hit);
@@ -123,7 +123,7 @@ impl Visible<'_, '_> {
             row,
             #[inline(always)]
             |hit| {
-                count = count.wrapping_add(lanes.pixel_count(hit.bits, hit.block, &mut before));
+                count = count.wrapping_add(lanes.pixel_count(&hit, &mut before));
                 let at = first.wrapping_add(hit.at);
                 let stored = &mut keys[at..at.wrapping_add(LANE_COUNT)];
                 let key = depth.keys(simd, &hit);

@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -46,7 +47,8 @@ struct Vertex {
 }
 """
 
-_START_SECS = 120.0
+_ANSWER_SECS = 120.0
+"""A process that has not answered by then hangs; frames take under a second."""
 
 
 class Llvmpipe:
@@ -105,12 +107,14 @@ class Llvmpipe:
             samples=np.array(samples),
         )
         environment = {**os.environ, "LP_NUM_THREADS": str(threads if threads > 1 else 0)}
+        # a file: a pipe that nobody empties can stop the process
+        self._errors = (Path(self._folder.name) / "errors.txt").open("w+")
         self._process = subprocess.Popen(
             [sys.executable, "-m", "treelod.bench.llvmpipe", str(scene)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            stderr=subprocess.PIPE,
+            stderr=self._errors,
             env=environment,
         )
         self.adapter = self._answer()
@@ -131,7 +135,7 @@ class Llvmpipe:
             self._process.kill()
             self._process.wait()
         self._process.stdout and self._process.stdout.close()
-        self._process.stderr and self._process.stderr.close()
+        self._errors.close()
         self._folder.cleanup()
 
     def draw(self) -> float:
@@ -151,11 +155,16 @@ class Llvmpipe:
 
     def _answer(self) -> str:
         assert self._process.stdout is not None
-        line = self._process.stdout.readline()
+        limit = threading.Timer(_ANSWER_SECS, self._process.kill)
+        limit.start()
+        try:
+            line = self._process.stdout.readline()
+        finally:
+            limit.cancel()
         if not line:
-            status = self._process.wait(timeout=_START_SECS)
-            assert self._process.stderr is not None
-            words = self._process.stderr.read().strip().splitlines()[-1:]
+            status = self._process.wait()
+            self._errors.seek(0)
+            words = self._errors.read().strip().splitlines()[-1:]
             msg = f"llvmpipe ended with status {status}: {' '.join(words)}"
             raise RuntimeError(msg)
         return line.strip()

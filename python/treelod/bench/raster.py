@@ -89,7 +89,7 @@ def rows(*, repeats: int, small: bool) -> Iterator[Row]:
                     "ours": partial(_draw, best, scene, camera, samples, threads),
                     "scalar": partial(_draw, scalar, scene, camera, samples, threads),
                     "llvmpipe": partial(_draws, peer, draws),
-                    "copy": _copy(bytes_touched(plant, size), threads),
+                    "copy": _copy(bytes_touched(plant, size), threads, stack),
                 }
                 secs = interleaved(runs, repeats=repeats, warmup=2)
                 # more samples than it knows are several pictures of it, which nothing here averages
@@ -156,12 +156,12 @@ def bytes_touched(plant: Plant, size: tuple[int, int]) -> int:
     return vertices * per_vertex + plant.triangle_count * per_triangle + size[0] * size[1] * 16
 
 
-def _copy(byte_count: int, threads: int) -> Callable[[], float]:
+def _copy(byte_count: int, threads: int, stack: ExitStack) -> Callable[[], float]:
     """Copy half as many bytes, which reads and writes as many, and time it."""
     source = np.ones(byte_count // 2, np.uint8)
     target = np.empty_like(source)
     parts = list(zip(np.array_split(target, threads), np.array_split(source, threads), strict=True))
-    pool = ThreadPoolExecutor(threads)
+    pool = stack.enter_context(ThreadPoolExecutor(threads))
 
     def run() -> float:
         start = time.perf_counter()
