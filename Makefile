@@ -53,8 +53,10 @@ lint-stubs:
 test: ## every test that is not marked slow
 	uv run --locked pytest
 
-# Many repeats at few views: what is asked for here is the time, not the error.
-bench: ## times of every technique on a grown chestnut; close other programs first
+# For the techniques: many repeats at few views, since the time is asked for and not the error.
+bench: ## times against other tools, and of every technique; close other programs first
+	uv run --locked --extra bench --extra validate treelod bench raster --output target/raster.jsonl
+	uv run --locked --extra bench --extra validate treelod bench bake --output target/bake.jsonl
 	uv run --locked treelod compare chestnut --output target/bench --azimuths 2 --elevations 0 \
 		--reference-samples 16 --repeats 25
 
