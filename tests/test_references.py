@@ -1,7 +1,9 @@
 """Are the references right themselves: twin, cuts, texels, and the process around them?"""
 
 import os
+import shutil
 import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -254,6 +256,20 @@ def test_results_are_kept_by_what_went_in(job, tmp_path):
     (kept, *_) = sorted((tmp_path / "cache" / "references").iterdir())
     kept.write_bytes(kept.read_bytes()[:50])
     assert all(ask(x)["twice"] == [2 * x] for x in (1.0, 2.0)), "a damaged file is made again"
+
+
+def test_results_are_kept_by_what_references_import(job, tmp_path, monkeypatch):
+    folder = tmp_path / "treelod" / "references"
+    shutil.copytree(runner._REFERENCES, folder)
+    color = shutil.copy(runner._COLOR, folder.parent)
+    monkeypatch.setattr(runner, "_REFERENCES", folder)
+    monkeypatch.setattr(runner, "_COLOR", Path(color))
+    job("pass")
+    assert [int(ask()["calls"]) for _ in range(2)] == [1, 1]
+    imported = [folder / "views.py", folder / "texels.py", Path(color)]
+    for calls, edited in enumerate(imported, start=2):
+        edited.write_text(edited.read_text() + "\n# edited\n")
+        assert int(ask()["calls"]) == calls, edited.name
 
 
 def test_a_reference_that_dies_gets_a_second_chance(job, caplog):

@@ -10,11 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 import treelod as tl
-from made_plants import crown, random_crown
+from made_plants import crown, facing, quads, random_crown
 from treelod import references
 from treelod.cli import app
-from treelod.references import color, coverage, geometry, slices, visibility
+from treelod.references import color, coverage, geometry, mitsuba, slices, visibility
 from treelod.references.coverage import SliceSettings
+from treelod.references.soup import foliage_soup
 from treelod.references.validation import QUICK, Extent
 
 SMALL = Extent(
@@ -166,14 +167,10 @@ def without_leaf(soup, leaf):
 
 
 def test_colours_of_another_light_are_found(leaves, monkeypatch):
-    other = leaves.lit(tl.Lighting(sun_direction=(-1, 0.5, 0.2)))
+    soup = visibility.plant_soup(leaves.lit(tl.Lighting(sun_direction=(-1, 0.5, 0.2))))
     assert not failures([color.color_section(leaves, (64, 64), 256, quiet)])
-    monkeypatch.setattr(color, "plant_soup", lambda _: slices_soup(other))
+    monkeypatch.setattr(color, "plant_soup", lambda _: soup)
     assert failures([color.color_section(leaves, (64, 64), 256, quiet)])
-
-
-def slices_soup(plant):
-    return visibility.plant_soup(plant)
 
 
 def test_light_that_shines_through_is_not_lamberts(monkeypatch):
@@ -221,6 +218,60 @@ def test_blocks_find_a_leaf_of_two_texels_and_no_noise():
     leaf[20:22, 30] = 1.0
     assert coverage.largest_z(bare, bare, 64) == 0.0
     assert coverage.largest_z(leaf, bare, 64) > coverage.MAX_Z
+
+
+# Plants that are legal and odd
+
+TINY = Extent(
+    rays=(64, 48),
+    view=(32, 32),
+    view_spp=64,
+    slices=SliceSettings(side=32, precise_count=1, precise_spp=64, slicing_count=1, spp=64),
+)
+
+
+def masked(wrap):
+    texture = np.full((8, 8, 4), 255, np.uint8)
+    texture[2:6, 2:6, 3] = 0
+    material = tl.Material(name="cut", alpha_mode="mask", texture=texture, wrap=wrap)
+    mesh, offsets = quads([facing(0, 0, 0, 1), facing(2.5, 0, 1, 1)])
+    mesh["uvs"] = np.tile([(0, 0), (1.5, 0), (1.5, 1.5), (0, 1.5)], (2, 1))
+    mesh["material_ids"] = np.zeros(4, np.uint32)
+    return tl.Plant.from_arrays(foliage=mesh, leaf_offsets=offsets, materials=[material])
+
+
+@pytest.mark.parametrize("wrap", [("repeat", "clamp"), ("mirror", "mirror")])
+def test_masks_wrapped_in_two_ways_are_left_out_and_said_so(wrap):
+    found = references.validate(masked(wrap), extent=TINY)
+    assert failures(found.sections) == []
+    titles = [section.title for section in found.sections]
+    assert ("Coverage of slices" in titles) == (wrap[0] == wrap[1])
+    assert len(found.left_out) == (wrap[0] != wrap[1])
+    assert "Lit colour" in titles, "embree wraps each axis on its own"
+
+
+@pytest.mark.parametrize("places", [[0.0], [0.0, 3.0]], ids=["one leaf", "one plane"])
+def test_a_flat_crown_is_one_slice(places):
+    plant = crown([facing(x, 0, 0, 1) for x in places])
+    first = slices.Crown.of(plant, np.array([0.0, 0.0, 1.0]), 5)
+    assert [part.triangle_count for part in first.slices] == [2 * len(places), 0, 0, 0, 0]
+    found = references.validate(plant, extent=TINY)
+    assert (failures(found.sections), found.left_out) == ([], [])
+
+
+def test_a_plant_that_is_a_point_has_no_picture():
+    plant = crown([facing(1, 2, 3, 0.0)])
+    found = references.validate(plant, extent=TINY)
+    assert failures(found.sections) == []
+    assert found.left_out == ["pictures: the plant is a point"]
+
+
+def test_mitsuba_is_given_points_and_nothing():
+    soup = foliage_soup(crown([facing(1, 2, 3, 0.0)]))
+    center, scale = mitsuba._placing([soup])
+    np.testing.assert_array_equal(center, soup.corners[0, 0])
+    assert scale == 1.0
+    assert mitsuba._placing([soup.take(np.array([], np.int64))])[1] == 1.0
 
 
 # The command

@@ -60,14 +60,18 @@ def _leaves(plant: Plant) -> list[Check]:
     centers = np.add.reduceat(centroids, starts)[solid] / leaf_areas[solid, np.newaxis]
     errors = {
         "leaf areas": np.abs(leaf_areas - foliage.areas) / (largest_area or 1.0),
-        "leaf centres": np.linalg.norm(centers - foliage.centers[solid], axis=1)
-        / (2.0 * plant.sphere[1]),
+        "leaf centres": np.linalg.norm(centers - foliage.centers[solid], axis=1) / _size(plant),
         "leaf normals": _normal_errors(plant, vectors, areas)[solid],
     }
     return [
         Check(name=name, value=float(error.max(initial=0.0)), relation="<=", limit=ROUNDING)
         for name, error in errors.items()
     ]
+
+
+def _size(plant: Plant) -> float:
+    """Diameter in metres that errors are shares of; 1 for a point."""
+    return 2.0 * plant.sphere[1] or 1.0
 
 
 def _normal_errors(
@@ -138,7 +142,7 @@ def _bounds(plant: Plant) -> Check:
     difference = np.abs(whole.bounds + plant.origin - plant.bounds).max()
     return Check(
         name="bounds",
-        value=float(difference / (2.0 * plant.sphere[1])),
+        value=float(difference / _size(plant)),
         relation="<=",
         limit=ROUNDING,
     )

@@ -3,8 +3,8 @@ Coverage and colour by mitsuba 3, variant ``scalar_rgb``.
 
 Scenes are moved to the origin and scaled up: a ray that has passed a mask goes on 9e-5 (1 + its
 largest coordinate) behind it, and misses what lies in between. On an aspen of 102 m, at its own
-coordinates, this took 0.0010 from the mean alpha of a slice; now it takes 0.0001. Embree agrees
-with us there to 0.0001.
+coordinates, this takes 0.0010 from the mean alpha of a slice; moved and scaled, 0.0001. Embree
+agrees with us there to 0.0001.
 
 Alpha comes from the path integrator with hidden emitters, which alone honours masks; colour, of
 plants without cut-outs, from the albedo of two-sided diffuse surfaces that bear our vertex colours.
@@ -57,7 +57,9 @@ soup's colours as diffuse surfaces under a sun of irradiance pi in direction ``s
 
 def can_be_masked(soup: Soup) -> bool:
     """
-    Say whether mitsuba can be given a soup's opacities: one number a material, besides textures.
+    Say whether mitsuba can be given a soup's opacities.
+
+    Besides textures it takes one number a material, and it wraps both axes of a texture alike.
 
     Parameters
     ----------
@@ -68,11 +70,15 @@ def can_be_masked(soup: Soup) -> bool:
     -------
     bool
     """
-    return all(
-        len(np.unique(soup.opacity[soup.material_ids == index])) <= 1
-        for index, material in enumerate(soup.materials)
-        if material.alpha_mode != "opaque"
-    )
+    for index in np.unique(soup.material_ids):
+        material = soup.materials[index]
+        if material.alpha_mode == "opaque":
+            continue
+        if len(np.unique(soup.opacity[soup.material_ids == index])) > 1:
+            return False
+        if material.texture is not None and material.wrap[0] != material.wrap[1]:
+            return False
+    return True
 
 
 def draw(
@@ -108,13 +114,14 @@ def draw(
     ImportError, ReferenceFailedError
         As `treelod.references.runner.reference`.
     ValueError
-        If a material that is cut out or blended has several opacities.
+        If a material that is cut out or blended has several opacities, or wraps its texture in two
+        ways.
     """
     arrays: dict[str, NDArray[Any]] = {}
     center, scale = _placing(soups)
     for index, soup in enumerate(soups):
         if not can_be_masked(soup):
-            msg = "mitsuba takes one opacity a material"
+            msg = "mitsuba takes one opacity and one kind of wrap a material"
             raise ValueError(msg)
         used = np.unique(soup.material_ids)
         placed = (soup.corners - center) * scale
@@ -140,15 +147,18 @@ def draw(
 
 
 def _placing(soups: Sequence[Soup]) -> tuple[NDArray[np.float64], float]:
-    """Middle of all triangles, and what makes them `_SIZE` large."""
+    """Middle of all triangles, and what makes them `_SIZE` large; a point stays as it is."""
     boxes = [
         bound(soup.corners, axis=(0, 1))
         for soup in soups
         if soup.triangle_count
         for bound in (np.min, np.max)
     ]
+    if not boxes:
+        return np.zeros(3), 1.0
     low, high = np.min(boxes, axis=0), np.max(boxes, axis=0)
-    return 0.5 * (low + high), _SIZE / float(np.linalg.norm(high - low))
+    extent = float(np.linalg.norm(high - low))
+    return 0.5 * (low + high), _SIZE / extent if extent > 0.0 else 1.0
 
 
 def _placed(view: dict[str, Any], center: NDArray[np.float64], scale: float) -> dict[str, Any]:
@@ -282,14 +292,12 @@ def _bsdf(mask: NDArray[np.uint8] | None, wrap: Any, *, colored: bool) -> dict[s
     surface: dict[str, Any] = {"type": "twosided", "bsdf": diffuse}
     if mask is None:
         return surface
-    if wrap[0] != wrap[1]:
-        msg = f"mitsuba wraps both axes alike, not {wrap}"
-        raise ValueError(msg)
     opacity = {
         "type": "bitmap",
         "bitmap": mitsuba.Bitmap(mask[..., np.newaxis]),
         "raw": True,
         "filter_type": "nearest",
+        # of both axes: others are refused before
         "wrap_mode": wrap[0],
     }
     return {"type": "mask", "opacity": opacity, "bsdf": surface}

@@ -46,6 +46,10 @@ _PACKAGES = {"mitsuba": "mitsuba", "embreex": "embreex"}
 _VERSIONED = ("mitsuba", "embreex", "trimesh", "numpy")
 """What a result depends on besides its input and our own code."""
 
+_REFERENCES = Path(__file__).parent
+_COLOR = _REFERENCES.parent / "color.py"
+"""Our own code that runs in children: how rays, texels and colours are made."""
+
 _ATTEMPTS = 2
 
 _TIMEOUT_SECS = 3600.0
@@ -143,8 +147,9 @@ def _fingerprint(job: str, arrays: Mapping[str, NDArray[Any]], settings: Mapping
     spec = importlib.util.find_spec(JOBS[job])
     assert spec is not None
     assert spec.origin is not None
-    # an edited reference gives other results
-    digest.update(Path(spec.origin).read_bytes())
+    # an edited reference gives other results, and so does what it imports
+    for path in (Path(spec.origin), *sorted(_REFERENCES.glob("*.py")), _COLOR):
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
     versions = {name: importlib.metadata.version(name) for name in _VERSIONED}
     digest.update(json.dumps([versions, settings], sort_keys=True, allow_nan=False).encode())
     for name in sorted(arrays):

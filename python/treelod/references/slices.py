@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Crown", "stored_alpha"]
 
+_FLAT = 1e-6
+"""Share of its radius below which a crown is flat, all in the first slice, or a line as seen."""
+
 _TIE = 1e-9
 """Share of the spacing by which a leaf may lie beyond the middle and still count as on it."""
 
@@ -86,15 +89,20 @@ class Crown:
         right /= np.linalg.norm(right)
         up = np.cross(toward, right)
         offsets = (middles - center) @ toward
-        spacing = 2.0 * np.abs(offsets).max() / slice_count
+        around = soup.corners.reshape(-1, 3) - center
+        reach = float(np.linalg.norm(around, axis=1).max())
+        depth = 2.0 * float(np.abs(offsets).max())
+        flat = depth <= _FLAT * reach
+        # any, where all lies in one plane
+        spacing = 1.0 if flat else depth / slice_count
         starts = foliage.leaf_offsets[:-1]
         leaf_of = np.repeat(np.arange(foliage.leaf_count), np.diff(foliage.leaf_offsets))
         heights = (soup.corners - center) @ toward
         low = np.minimum.reduceat(heights.min(axis=1), starts)
         high = np.maximum.reduceat(heights.max(axis=1), starts)
-        large = (high - low > spacing * (1.0 + _TIE)) & (slice_count > 1)
+        large = (high - low > spacing * (1.0 + _TIE)) & (slice_count > 1 and not flat)
         index = np.ceil(offsets / spacing + slice_count / 2.0 - _TIE) - 1.0
-        index = np.clip(index, 0, slice_count - 1).astype(np.int64)
+        index = np.clip(index, 0, 0 if flat else slice_count - 1).astype(np.int64)
         cut_up = soup.take(large[leaf_of])
         slices = []
         for number in range(slice_count):
@@ -106,15 +114,18 @@ class Crown:
                 part = part.cut(-toward, -(lower + spacing + center @ toward))
             whole = soup.take((~large & (index == number))[leaf_of])
             slices.append(whole.joined(part))
-        around = soup.corners.reshape(-1, 3) - center
-        half = float(np.abs(around @ right).max()), float(np.abs(around @ up).max())
+        least = _FLAT * reach
+        half = (
+            max(float(np.abs(around @ right).max()), least),
+            max(float(np.abs(around @ up).max()), least),
+        )
         return cls(
             right=right,
             up=up,
             toward=toward,
             center=center,
             half=half,
-            reach=float(np.linalg.norm(around, axis=1).max()),
+            reach=reach,
             slices=slices,
             whole=soup,
             large_count=int(large.sum()),

@@ -181,17 +181,24 @@ def validate(
     report("geometry", 0, 1)
     sections.append(geometry_section(plant))
     report("geometry", 1, 1)
-    sections.append(visibility_section(plant, extent.rays, stage("rays")))
-    sections.append(color_section(plant, extent.view, extent.view_spp, stage("lit colour")))
     left_out = []
-    if mitsuba.can_be_masked(plant_soup(plant)):
+    sized = plant.sphere[1] > 0.0
+    if sized:
+        sections.append(visibility_section(plant, extent.rays, stage("rays")))
+        sections.append(color_section(plant, extent.view, extent.view_spp, stage("lit colour")))
+    if not sized:
+        left_out.append("pictures: the plant is a point")
+    elif mitsuba.can_be_masked(plant_soup(plant)):
         sections.append(view_section(plant, extent.view, extent.view_spp, stage("coverage")))
         if plant.foliage.leaf_count:
             sections.append(slices_section(plant, extent.slices, stage("slices")))
         else:
             left_out.append("slices: the plant has no leaves")
     else:
-        left_out.append("coverage: mitsuba takes one opacity a material, this plant has several")
+        left_out.append(
+            "coverage: mitsuba takes one opacity and one kind of wrap a material, "
+            "this plant has a material with two"
+        )
     return Validation(
         plant=plant.name,
         summary=plant.summary(),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -164,8 +163,3 @@ def pixel_rays(
     if view["perspective"]:
         return np.broadcast_to(eye, across.shape), across - back
     return eye + across, np.broadcast_to(-back, across.shape)
-
-
-def with_size(camera: Camera, size: tuple[int, int]) -> Camera:
-    """Return the same view with other pixels."""
-    return dataclasses.replace(camera, size=size)
