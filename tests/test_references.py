@@ -1,8 +1,10 @@
 """Are the references right themselves: twin, cuts, texels, and the process around them?"""
 
+import json
 import os
 import shutil
 import textwrap
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +12,15 @@ import pytest
 
 import treelod as tl
 from made_plants import crown, facing, random_crown
-from treelod.references import runner, twin
+from treelod.provenance import provenance
+from treelod.references import Panel, Section, Validation, runner, twin
 from treelod.references.checks import Check
 from treelod.references.slices import Crown
 from treelod.references.soup import foliage_soup, geometry_only, plant_soup
 from treelod.references.texels import bilinear, bilinear_alpha, wrapped
 from treelod.references.views import camera_settings, check_cameras, pixel_rays, sample_positions
 from treelod.references.visibility import seen_triangles
+from treelod.report.validation import write_validation
 
 # Where pictures are sampled
 
@@ -212,6 +216,38 @@ def test_a_check_knows_its_side_and_no_nan_passes():
 
     assert [passed(v, "<=") for v in (0.5, 1.0, 1.5, float("nan"))] == [True, True, False, False]
     assert [passed(v, ">=") for v in (0.5, 1.0, 1.5, float("nan"))] == [False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [(np.nan, "not a number"), (np.inf, "infinite"), (-np.inf, "infinite")],
+)
+@pytest.mark.parametrize("relation", ["<=", ">="])
+def test_a_figure_that_is_no_number_fails_and_is_written(tmp_path, value, words, relation):
+    picture = np.array([[0.0, value], [0.25, 1.0]])
+    panel = Panel(title="odd", ours=picture, reference=picture, difference=np.abs(picture))
+    odd = Check(name="odd", value=value, relation=relation, limit=0.5)
+    fine = Check(name="fine", value=0.5, relation=relation, limit=0.5)
+    section = Section(title="Odd", what="w", checks=[fine, odd], panels=[panel])
+    found = Validation(
+        plant="p",
+        summary="s",
+        sections=[section],
+        left_out=[],
+        full=False,
+        secs=1.0,
+        source={},
+        made=asdict(provenance()),
+    )
+    page = write_validation(found, tmp_path).read_text()
+    assert f"<td>odd</td><td>{words}</td>" in page
+    figures = json.loads((tmp_path / "validation.json").read_text())
+    assert not figures["passed"]
+    assert [(c["value"], c["passed"], c.get("value_is")) for c in figures["checks"]] == [
+        (0.5, True, None),
+        (None, False, words),
+    ]
+    assert len(list((tmp_path / "pictures").iterdir())) == 1
 
 
 # The process around a reference

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from typer.testing import CliRunner
 
 import treelod as tl
 from made_plants import crown, facing, quads, random_crown
-from treelod import references
+from treelod import _core, references
 from treelod.cli import app
 from treelod.references import color, coverage, geometry, mitsuba, slices, visibility
 from treelod.references.coverage import SliceSettings
@@ -218,6 +219,64 @@ def test_blocks_find_a_leaf_of_two_texels_and_no_noise():
     leaf[20:22, 30] = 1.0
     assert coverage.largest_z(bare, bare, 64) == 0.0
     assert coverage.largest_z(leaf, bare, 64) > coverage.MAX_Z
+
+
+def test_pieces_that_touch_and_count_as_two_are_found(monkeypatch):
+    touching = crown([((0, 0, 0), (1, 0, 0), (0, 1, 0)), ((2, 0, 0), (1, 0, 0), (0, 1, 0))])
+    assert geometry._components(touching).passed
+    # a splitter that tells rectangles apart whatever they share
+    monkeypatch.setattr(geometry.Plant, "from_mesh", lambda *_, **__: touching)
+    assert not geometry._components(touching).passed
+
+
+def test_bounds_that_leave_out_a_corner_are_found():
+    plant = random_crown(30)
+    assert geometry._bounds(plant).passed
+    plant.__dict__["bounds"] = plant.bounds + np.array([[0.0] * 3, [0.0, -1e-4, 0.0]])
+    assert not geometry._bounds(plant).passed
+
+
+def test_a_view_without_one_leaf_is_found(leaves, monkeypatch):
+    assert not failures([coverage.view_section(leaves, (64, 64), 128, quiet)])
+    soup = without_leaf(coverage.plant_soup(leaves), nearest_leaf(leaves))
+    monkeypatch.setattr(coverage, "plant_soup", lambda _: soup)
+    (failure,) = failures([coverage.view_section(leaves, (64, 64), 128, quiet)])
+    assert failure.startswith("alpha of the view, bias")
+
+
+def test_slices_together_without_one_slice_are_found(leaves, monkeypatch):
+    real = coverage.stored_alpha
+
+    def without_the_middle(lod, slicing, slice_count, side):
+        alphas = real(lod, slicing, slice_count, side)
+        if slice_count > 1:
+            alphas[slice_count // 2] *= 0.0
+        return alphas
+
+    assert all(check.passed for check in coverage.together(leaves, 64))
+    monkeypatch.setattr(coverage, "stored_alpha", without_the_middle)
+    assert [check.passed for check in coverage.together(leaves, 64)] == [False, False]
+
+
+def test_a_rectangle_with_one_corner_elsewhere_is_found(leaves):
+    lod = coverage._build(leaves, 16, coverage.SLICE_COUNT, 1)
+    toward = np.array(_core.circle_directions(coverage.SLICING_COUNT))[0]
+    sliced = slices.Crown.of(leaves, toward, coverage.SLICE_COUNT)
+    assert coverage._corner_error(leaves, lod, 0, sliced) <= coverage.MAX_CORNER_ERROR
+    first, *others = lod.textures
+    corners = first.corners.copy()
+    corners[2] += 2 * coverage.MAX_CORNER_ERROR * sliced.reach * sliced.up
+    moved = SimpleNamespace(textures=[dataclasses.replace(first, corners=corners), *others])
+    assert coverage._corner_error(leaves, moved, 0, sliced) > coverage.MAX_CORNER_ERROR
+
+
+@pytest.mark.parametrize("value", [0.0, 1 / 255, 1.0])
+def test_a_wrong_texture_fails_where_mitsuba_finds_nothing(value):
+    empty = np.zeros((8, 8))
+    ours = empty.copy()
+    ours[3, 4] = value
+    share = coverage._precise(2, ours, empty, empty)[1]
+    assert share.passed == (value == 0.0)
 
 
 # Plants that are legal and odd

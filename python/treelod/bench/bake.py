@@ -18,7 +18,8 @@ from treelod import _core
 from treelod.bench.rows import Row, interleaved
 from treelod.plants import grow_plant
 from treelod.references import embree, mitsuba
-from treelod.references.coverage import SLICE_COUNT, SLICING_COUNT, rmse
+from treelod.references.checks import rmse
+from treelod.references.coverage import SLICE_COUNT, SLICING_COUNT
 from treelod.references.runner import require
 from treelod.references.slices import Crown, stored_alpha
 from treelod.techniques import Slicings

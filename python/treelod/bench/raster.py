@@ -21,6 +21,7 @@ from treelod.bench.llvmpipe import MAX_SAMPLES, Llvmpipe
 from treelod.bench.rows import Row, interleaved
 from treelod.cameras import Camera
 from treelod.plants import grow_plant
+from treelod.references.checks import rmse
 from treelod.render import camera_facts, render
 from treelod.scenes import Scene
 from treelod.techniques import FullMesh
@@ -77,7 +78,7 @@ def rows(*, repeats: int, small: bool) -> Iterator[Row]:
     camera = filling_camera(plant, size)
     reference = _color(render(mesh, camera, samples=REFERENCE_SAMPLES).color)
     for samples in (1, 4, 16):
-        ours_error = _rmse(_color(render(mesh, camera, samples=samples).color), reference)
+        ours_error = rmse(_color(render(mesh, camera, samples=samples).color), reference)
         for threads in THREADS:
             case = f"{name}, {size[0]}x{size[1]}, samples={samples}, threads={threads}"
             with ExitStack() as stack:
@@ -93,7 +94,7 @@ def rows(*, repeats: int, small: bool) -> Iterator[Row]:
                 }
                 secs = interleaved(runs, repeats=repeats, warmup=2)
                 # more samples than it knows are several pictures of it, which nothing here averages
-                peer_error = _rmse(peer.picture(), reference) if draws == 1 else None
+                peer_error = rmse(peer.picture(), reference) if draws == 1 else None
             label = peer.adapter if draws == 1 else f"{peer.adapter}, {draws} draws of 4 samples"
             row = partial(Row, group="raster", case=case, ours_secs=secs["ours"])
             yield row(
@@ -247,7 +248,3 @@ def _clip_from_world(camera: Camera) -> NDArray[np.float64]:
 def _color(color: NDArray[np.float32] | None) -> NDArray[np.float32]:
     assert color is not None
     return color
-
-
-def _rmse(picture: NDArray[np.float32], reference: NDArray[np.float32]) -> float:
-    return float(np.sqrt(np.mean(np.square(picture - reference, dtype=np.float64))))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Check", "Panel", "Section"]
+__all__ = ["Check", "Panel", "Section", "rmse", "words_for"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +41,45 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the figure keeps to its limit; NaN does not."""
+        """Whether the figure keeps to its limit; NaN and infinity do not."""
+        if not math.isfinite(self.value):
+            return False
         return self.value <= self.limit if self.relation == "<=" else self.value >= self.limit
+
+
+def words_for(value: float) -> str:
+    """
+    Say what a figure is that cannot be written in digits.
+
+    Parameters
+    ----------
+    value : float
+        Any.
+
+    Returns
+    -------
+    str
+        "not a number", "infinite", or nothing for a finite figure.
+    """
+    if math.isnan(value):
+        return "not a number"
+    return "infinite" if math.isinf(value) else ""
+
+
+def rmse(a: NDArray[Any], b: NDArray[Any]) -> float:
+    """
+    Return the root mean square difference of two pictures.
+
+    Parameters
+    ----------
+    a, b : ndarray
+        Of the same shape.
+
+    Returns
+    -------
+    float
+    """
+    return math.sqrt(float(np.mean(np.square(np.subtract(a, b, dtype=np.float64)))))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,8 +11,8 @@ from treelod.cameras import Camera
 from treelod.color import srgb_from_linear
 from treelod.plants import Lighting, Plant
 from treelod.references import mitsuba
-from treelod.references.checks import Check, Panel, Section
-from treelod.references.coverage import MANY_SAMPLES, rmse
+from treelod.references.checks import Check, Panel, Section, rmse
+from treelod.references.coverage import MANY_SAMPLES
 from treelod.references.shading import shade
 from treelod.references.soup import plant_soup
 from treelod.references.views import camera_settings, check_cameras, sample_positions

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from treelod.provenance import provenance
 from treelod.references import mitsuba
+from treelod.references.checks import words_for
 from treelod.references.color import color_section, lambert_section
 from treelod.references.coverage import SliceSettings, slices_section, view_section
 from treelod.references.geometry import geometry_section
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from treelod.plants import Plant
-    from treelod.references.checks import Section
+    from treelod.references.checks import Check, Section
 
 __all__ = ["FULL", "QUICK", "Extent", "Validation", "validate"]
 
@@ -110,6 +111,8 @@ class Validation:
         Returns
         -------
         dict
+            Figures that are not finite are None, and ``value_is`` or ``limit_is`` says what they
+            are.
         """
         return {
             "plant": self.plant,
@@ -122,13 +125,23 @@ class Validation:
             "checks": [
                 {
                     "section": section.title,
-                    **dataclasses.asdict(check),
+                    **_facts(check),
                     "passed": check.passed,
                 }
                 for section in self.sections
                 for check in section.checks
             ],
         }
+
+
+def _facts(check: Check) -> dict[str, Any]:
+    facts = dataclasses.asdict(check)
+    for name in ("value", "limit"):
+        words = words_for(facts[name])
+        if words:
+            # JSON has no word for them
+            facts |= {name: None, f"{name}_is": words}
+    return facts
 
 
 def validate(

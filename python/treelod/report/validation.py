@@ -12,6 +12,7 @@ import numpy as np
 
 from treelod.color import quantize
 from treelod.files import atomic_write
+from treelod.references.checks import words_for
 from treelod.report import images, text
 from treelod.report.page import check_folder
 
@@ -108,8 +109,11 @@ def figure(value: float) -> str:
     -------
     str
         Whole numbers in full, shares near 1 with the digits that tell them from 1, others with
-        three digits.
+        three digits; words for what is not finite.
     """
+    words = words_for(value)
+    if words:
+        return words
     if value == round(value):
         return text.count(round(value))
     if 0.99 < value < 1.0:
@@ -119,21 +123,24 @@ def figure(value: float) -> str:
 
 
 def _parts(panel: Panel) -> dict[str, NDArray[np.uint8]]:
+    # what is not finite is the largest difference there is
+    difference = np.nan_to_num(panel.difference / _scale(panel), nan=1.0, posinf=1.0, neginf=1.0)
     return {
         "treelod": _shown(panel.ours),
         "reference": _shown(panel.reference),
-        "difference": images.magma((panel.difference / _scale(panel)).astype(np.float32)),
+        "difference": images.magma(difference.astype(np.float32)),
     }
 
 
 def _scale(panel: Panel) -> float:
     """Return what the brightest colour of the difference stands for: the next power of ten."""
-    largest = float(panel.difference.max())
+    finite = panel.difference[np.isfinite(panel.difference)]
+    largest = float(finite.max(initial=0.0))
     return float(10.0 ** np.ceil(np.log10(largest))) if largest > 0.0 else 1.0
 
 
 def _shown(values: NDArray[Any]) -> NDArray[np.uint8]:
-    picture = quantize(values)
+    picture = quantize(np.nan_to_num(values, nan=0.0))
     if picture.ndim == 2:
         picture = np.repeat(picture[..., np.newaxis], 3, axis=2)
     return picture
