@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from treelod.bench import GROUPS, Row, interleaved
+from treelod.bench import GROUPS, Row, bake, interleaved
 from treelod.cli import app
 
 KEYS = [
@@ -98,11 +98,34 @@ def test_bake_rows_compare_the_same_textures(tmp_path):
     rows = [json.loads(line) for line in file.read_text().splitlines()]
     assert [list(row) for row in rows] == [KEYS] * 4
     assert [row["aim"] for row in rows] == [50.0, None, 10.0, None]
-    assert rows[0]["peer_error"] is None, "its coverage is in the next row"
-    for row in rows[1:]:
+    assert [row["error_kind"].split(" RMSE")[0] for row in rows] == [
+        "linear premultiplied colour",
+        *["alpha"] * 3,
+    ]
+    for row in rows:
         # 16 samples: ours and embree's are spread evenly, mitsuba's are random
         assert 0.0 < row["ours_error"] < row["peer_error"] * 1.2
         assert row["peer_error"] < 0.05
+
+
+def test_aims_are_met_against_a_peers_best_time_only():
+    secs = {"ours 1": 1.0, "ours 2": 0.5, "color 1": 20.0, "color 2": 40.0}
+    secs |= {"alpha 1": 9.0, "alpha 2": 5.0, "trimesh": 6.0, "embreex": 3.0}
+    errors = dict.fromkeys(
+        ["ours color", "ours alpha", "color", "alpha", "trimesh", "embreex"], 0.01
+    )
+    rows = list(bake.compared("c", secs, errors, 256))
+    assert [(row.speedup, row.aim) for row in rows] == [
+        (20.0, None),
+        (9.0, None),
+        (6.0, None),
+        (3.0, None),
+        (40.0, 50.0),
+        (10.0, None),
+        (12.0, 10.0),
+        (6.0, None),
+    ]
+    assert [row.peer[-9:] for row in rows] == ["threads=1"] * 5 + ["threads=2"] + ["threads=1"] * 2
 
 
 def test_unknown_groups_are_refused():

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from treelod.references.soup import foliage_soup
+from treelod.references.texels import decoded
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from treelod.references.soup import Soup
     from treelod.techniques import Slicings
 
-__all__ = ["Crown", "stored_alpha"]
+__all__ = ["Crown", "stored_alpha", "stored_texels"]
 
 _FLAT = 1e-6
 """Share of its radius below which a crown is flat, all in the first slice, or a line as seen."""
@@ -178,10 +179,26 @@ def stored_alpha(
     list of ndarray of shape (side, side)
         By rising offset; 0 where no texture is kept because nothing is in it.
     """
+    return [texels[..., 3] for texels in stored_texels(lod, slicing, slice_count, side)]
+
+
+def stored_texels(
+    lod: Slicings, slicing: int, slice_count: int, side: int
+) -> list[NDArray[np.float64]]:
+    """
+    Return a slicing's textures as they are mixed.
+
+    Parameters
+    ----------
+    lod, slicing, slice_count, side
+        As for `stored_alpha`.
+
+    Returns
+    -------
+    list of ndarray of shape (side, side, 4)
+        Linear and premultiplied, by rising offset; 0 where no texture is kept because nothing is
+        in it.
+    """
     textures = {texture.name: texture.levels[0] for texture in lod.textures}
-    alphas = []
-    for number in range(slice_count):
-        level = textures.get(f"slicing {slicing}, slice {number}")
-        empty = np.zeros((side, side))
-        alphas.append(empty if level is None else level[..., 3] / 255.0)
-    return alphas
+    levels = [textures.get(f"slicing {slicing}, slice {number}") for number in range(slice_count)]
+    return [np.zeros((side, side, 4)) if level is None else decoded(level) for level in levels]
