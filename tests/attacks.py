@@ -196,6 +196,37 @@ def tower(folder):
     return made.write(folder / "a.gltf")
 
 
+def chain(folder):
+    """Nodes nested as deep as allowed, the last with one child many times over."""
+    made = quad()
+    made["nodes"] = [{"children": [i + 1]} for i in range(249)] + [{"children": [0] * 100_000}]
+    return made.write(folder / "a.gltf")
+
+
+def sparse(path, start=b""):
+    """Write a file of 600 MiB that takes no space."""
+    with path.open("wb") as file:
+        file.write(start)
+        file.truncate(600 << 20)
+
+
+def long_picture(folder):
+    path = picture(png([[[1, 2, 3]]]))(folder)
+    sparse(folder / "a.bin", png([[[1, 2, 3]]]))
+    return path
+
+
+def long_picture_of_obj(folder):
+    (folder / "a.mtl").write_text("newmtl m\nmap_Kd a.png\n")
+    sparse(folder / "a.png", png([[[1, 2, 3]]]))
+    return text("a.obj", "mtllib a.mtl\n" + OBJ + "usemtl m\nf 1 2 3\n")(folder)
+
+
+def long_library(folder):
+    sparse(folder / "a.mtl", b"newmtl m\n")
+    return text("a.obj", "mtllib a.mtl\n" + OBJ + "usemtl m\nf 1 2 3\n")(folder)
+
+
 def instances(folder):
     made = quad()
     made["nodes"] = [{"children": list(range(1, 301))}]
@@ -257,6 +288,10 @@ BOMBS = {
         "cut short: it states 4000000001 elements",
     ),
     "corners of a PLY": Attack(binary_ply("uint", -1, 0, 1, 2), "a.ply: damaged, or no PLY file"),
+    "long picture": Attack(long_picture, "'a.bin': 629145600 bytes, the limit is 269484032"),
+    "long picture of an OBJ": Attack(long_picture_of_obj, "'a.png': 629145600 bytes, the limit"),
+    "long library": Attack(long_library, "'a.mtl': 629145600 bytes, the limit is 4194304"),
+    "chain of nodes": Attack(chain, "reached twice"),
     "tower of nodes": Attack(tower, "reached twice"),
     "nodes": Attack(many_nodes, "140000 nodes or primitives, the limit is 131072", LimitError),
     "primitives": Attack(many_primitives, "131073 nodes or primitives, the limit", LimitError),

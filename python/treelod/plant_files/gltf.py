@@ -197,8 +197,8 @@ class _File:
         if isinstance(used, list) and TRANSMISSION in used:
             self.warnings.append(f"{TRANSMISSION} is ignored: such surfaces are drawn opaque")
 
-    def nodes(self) -> Iterator[tuple[int, list[int]]]:
-        """Every node of the default scene once, with the path of nodes that leads to it."""
+    def nodes(self) -> Iterator[tuple[int, int | None]]:
+        """Every node of the default scene once, with its parent; None for a root."""
         nodes = self.all("nodes")
         check_counts(node_count=len(nodes))
         scenes = self.all("scenes")
@@ -207,20 +207,35 @@ class _File:
         else:
             children = {child for node in nodes for child in _children(node)}
             roots = [index for index in range(len(nodes)) if index not in children]
+        # a node is seen when it goes on the stack, so that the stack never outgrows the nodes
         seen: set[int] = set()
-        stack = [(index, [index]) for index in reversed(checks.index_list(roots, "scene"))]
+        stack: list[tuple[int, int | None, int]] = []
+        self.push(stack, seen, checks.index_list(roots, "scene"), None, 1)
         while stack:
-            index, path = stack.pop()
-            checks.index(index, len(nodes), "scene: node index")
+            index, parent, depth = stack.pop()
+            yield index, parent
+            self.push(stack, seen, _children(nodes[index]), index, depth + 1)
+
+    def push(
+        self,
+        stack: list[tuple[int, int | None, int]],
+        seen: set[int],
+        indices: list[int],
+        parent: int | None,
+        depth: int,
+    ) -> None:
+        """Put nodes on the stack, the first on top; none may have been seen."""
+        if indices and depth > MAX_DEPTH:
+            msg = f"nodes are nested more than {MAX_DEPTH} deep"
+            raise PlantFileError(msg)
+        count = len(self.all("nodes"))
+        for index in reversed(indices):
+            checks.index(index, count, "scene: node index")
             if index in seen:
                 msg = f"node {index} is reached twice: the nodes are no tree, or run in a circle"
                 raise PlantFileError(msg)
-            if len(path) > MAX_DEPTH:
-                msg = f"nodes are nested more than {MAX_DEPTH} deep"
-                raise PlantFileError(msg)
             seen.add(index)
-            yield index, path
-            stack += [(child, [*path, child]) for child in reversed(_children(nodes[index]))]
+            stack.append((index, parent, depth))
 
     def placed_primitives(self) -> Iterator[tuple[int, _Primitive, int]]:
         """Node, primitive and number of instances of everything that is drawn."""
@@ -465,7 +480,7 @@ class _File:
             if "bufferView" in image:
                 data = bytes(self.view_bytes(image["bufferView"], what))
             else:
-                data = self.source.read_uri(image.get("uri"), what)
+                data = self.source.read_uri(image.get("uri"), what, limit=images.MAX_BYTES)
             self.pictures[number] = images.decode(data, what, self.source.charge_texels)
         return self.pictures[number]
 
@@ -573,12 +588,12 @@ class _File:
         mesh_list: list[Json] = []
         nodes: list[Json] = [{"name": f"n{index}"} for index in range(len(self.all("nodes")))]
         roots = []
-        for index, path in self.nodes():
+        for index, parent in self.nodes():
             nodes[index] |= _local_transform(self.all("nodes")[index], f"node {index}")
-            if len(path) == 1:
+            if parent is None:
                 roots.append(index)
             else:
-                nodes[path[-2]].setdefault("children", []).append(index)
+                nodes[parent].setdefault("children", []).append(index)
         names: list[str] = []
         for index, prim, _ in placed:
             if prim.label not in meshes.slots:

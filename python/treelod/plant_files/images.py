@@ -15,13 +15,19 @@ from PIL import Image, UnidentifiedImageError
 
 from treelod.errors import PlantFileError
 
-__all__ = ["MAX_SIDE", "MAX_TEXEL_COUNT", "decode"]
+__all__ = ["MAX_BYTES", "MAX_SIDE", "MAX_TEXEL_COUNT", "decode"]
 
 MAX_SIDE = 16384
 """Largest width or height in texels."""
 
 MAX_TEXEL_COUNT = 1 << 26
 """Most texels: 256 MiB as RGBA."""
+
+MAX_BYTES = 4 * MAX_TEXEL_COUNT + (1 << 20)
+"""
+Longest picture file: the most texels as RGBA of 8 bits, not packed, and a MiB for headers and
+notes. A packed picture is shorter, and a deeper one that is longer holds more than is kept of it.
+"""
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
 

@@ -17,7 +17,10 @@ from treelod.errors import PlantFileError
 from treelod.plant_files.model import AlphaMode, MaterialFacts, Wrap
 from treelod.plant_files.sources import Source
 
-__all__ = ["Entry", "parse"]
+__all__ = ["MAX_BYTES", "Entry", "parse"]
+
+MAX_BYTES = 1 << 22
+"""Longest MTL file: 4 MiB, a kilobyte for each of 4,096 materials; most files hold a dozen."""
 
 MASK_CUTOFF = 0.5
 

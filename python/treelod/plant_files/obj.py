@@ -52,7 +52,7 @@ def read(source: Source) -> Model:
         return Model(pieces=[], materials=[])
     defined: dict[str, mtl.Entry] = {}
     for name in dict.fromkeys(lines.libraries):
-        defined |= mtl.parse(_decoded(source.read_name(name, "mtllib")))
+        defined |= mtl.parse(_decoded(source.read_name(name, "mtllib", limit=mtl.MAX_BYTES)))
     warnings = ["points and lines are ignored"] if lines.has_lines else []
     facts = []
     for name in lines.materials:

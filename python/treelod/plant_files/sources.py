@@ -76,25 +76,36 @@ class Source:
         """Bytes of the plant file."""
         return self.path.read_bytes()
 
-    def read_uri(self, uri: object, what: str, byte_count: int | None = None) -> bytes:
+    def read_uri(
+        self, uri: object, what: str, byte_count: int | None = None, limit: int = MAX_FILE_BYTES
+    ) -> bytes:
         """
         Bytes behind a glTF URI: base64 data or a percent-encoded relative path.
 
         Of a file no more than `byte_count` bytes are read: a file may be far larger than what a
-        plant says that it needs of it.
+        plant says that it needs of it. Where it must be read whole, `limit` is its largest size.
         """
         if not isinstance(uri, str):
             msg = f"the URI of {what} is no text"
             raise PlantFileError(msg)
         if uri[:5].lower() == "data:":
             return _data_bytes(uri, what)
-        return self.read_name(urllib.parse.unquote(uri), what, byte_count)
+        return self.read_name(urllib.parse.unquote(uri), what, byte_count, limit)
 
-    def read_name(self, name: str, what: str, byte_count: int | None = None) -> bytes:
-        """Bytes of the file at a relative path, in the folder of the plant file or below."""
+    def read_name(
+        self, name: str, what: str, byte_count: int | None = None, limit: int = MAX_FILE_BYTES
+    ) -> bytes:
+        """
+        Bytes of the file at a relative path, in the folder of the plant file or below.
+
+        `byte_count` and `limit` are those of `read_uri`.
+        """
         path = self._file(name, what)
         size = path.stat().st_size
         wanted = size if byte_count is None else min(size, byte_count)
+        if wanted > limit:
+            msg = f"{what} refers to {name!r}: {wanted} bytes, the limit is {limit}"
+            raise PlantFileError(msg)
         self._byte_count += wanted
         if self._byte_count > MAX_FILE_BYTES:
             msg = f"{what} refers to {name!r}, with which it is more than {MAX_FILE_BYTES} bytes"
@@ -106,7 +117,8 @@ class Source:
         """Texels (H, W, 4) of a picture at a relative path: decoded once, and read-only."""
         path = self._file(name, what)
         if path not in self._pictures:
-            texels = images.decode(self.read_name(name, what), label, self.charge_texels)
+            data = self.read_name(name, what, limit=images.MAX_BYTES)
+            texels = images.decode(data, label, self.charge_texels)
             texels.flags.writeable = False
             self._pictures[path] = texels
         return self._pictures[path]
