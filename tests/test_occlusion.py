@@ -33,21 +33,36 @@ def test_off_by_default(chestnut):
         assert (part(dark).front <= part(chestnut).front).all(), "never brighter"
 
 
+ROUNDING = 1e-6
+"""Colours are f32, and shares of at most 1 are means of their quotients."""
+
+INNER, RIM, TOP = 0.4, 0.9, 0.7
+"""Parts of the crown's box, as shares of its half size: the middle, the outermost leaves, and by
+height those that see most of the sky."""
+
+DARKEST, BRIGHTEST = 0.4, 0.6
+"""Limits of the mean light inside and at the rim, on both sides of one half: the chestnut has 0.26
+and 0.71, and a crown that were shaded alike all over would have the same for both."""
+
+CONTRAST = 1.5
+"""The top over the inside, at least: BRIGHTEST over DARKEST."""
+
+
 def test_the_inside_is_darker_than_the_rim(chestnut):
     dimmed = share(chestnut, tl.Lighting(occlusion=1.0, **OVERCAST))
     low, high = chestnut.foliage.centers.min(0), chestnut.foliage.centers.max(0)
     place = (chestnut.foliage.centers - (low + high) / 2) / ((high - low) / 2)
     depth = np.linalg.norm(place, axis=1)
-    assert dimmed[depth < 0.4].mean() < 0.4
-    assert dimmed[depth > 0.9].mean() > 0.6
-    upper = dimmed[(place[:, 1] > 0.7)].mean()
-    assert upper > 1.5 * dimmed[depth < 0.4].mean()
+    assert dimmed[depth < INNER].mean() < DARKEST
+    assert dimmed[depth > RIM].mean() > BRIGHTEST
+    upper = dimmed[(place[:, 1] > TOP)].mean()
+    assert upper > CONTRAST * dimmed[depth < INNER].mean()
 
 
 def test_strength_is_linear_and_the_sun_is_left_alone(chestnut):
     full = share(chestnut, tl.Lighting(occlusion=1.0, **OVERCAST))
     half = share(chestnut, tl.Lighting(occlusion=0.5, **OVERCAST))
-    np.testing.assert_allclose(1 - half, (1 - full) / 2, atol=1e-6)
+    np.testing.assert_allclose(1 - half, (1 - full) / 2, atol=ROUNDING)
     sun_only = {"sky": (0.0, 0.0, 0.0), "ground": (0.0, 0.0, 0.0)}
     plain = chestnut.lit(tl.Lighting(**sun_only)).foliage.mesh.front
     dark = chestnut.lit(tl.Lighting(occlusion=1.0, **sun_only)).foliage.mesh.front
