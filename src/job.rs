@@ -8,12 +8,16 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::{LodError, check_in};
 
 /// More threads than this in one pool is taken for a mistake.
 pub const MAX_THREAD_COUNT: usize = 1024;
+
+/// Elements between two looks at a job where an element takes well below a microsecond.
+pub const ELEMENTS_PER_CHECK: usize = 1 << 14;
 
 /// Shared between a running kernel and whoever waits for it.
 #[derive(Debug, Default)]
@@ -45,12 +49,56 @@ impl Job {
 
     /// Counts one step as done.
     pub fn advance(&self) {
-        self.done.fetch_add(1, Ordering::Relaxed);
+        self.advance_by(1);
+    }
+
+    /// Counts steps as done.
+    pub fn advance_by(&self, step_count: usize) {
+        self.done.fetch_add(step_count as u64, Ordering::Relaxed);
     }
 
     /// Steps done and steps in all; (0, 0) before [`Job::begin`].
     pub fn progress(&self) -> (u64, u64) {
         (self.done.load(Ordering::Relaxed), self.total.load(Ordering::Relaxed))
+    }
+
+    /// `make(0)` to `make(count - 1)`, made in parallel.
+    ///
+    /// Memory is touched only as it is filled: to reserve gigabytes takes no time, to clear them
+    /// would take seconds without a look at the job.
+    ///
+    /// # Errors
+    /// [`LodError::Cancelled`].
+    pub fn collect<T: Send>(
+        &self,
+        count: usize,
+        make: impl Fn(usize) -> T + Sync,
+    ) -> Result<Vec<T>, LodError> {
+        let mut made = Vec::with_capacity(count);
+        for first in (0..count).step_by(ELEMENTS_PER_CHECK) {
+            self.check()?;
+            let end = count.min(first + ELEMENTS_PER_CHECK);
+            made.par_extend((first..end).into_par_iter().map(&make));
+        }
+        Ok(made)
+    }
+
+    /// Index of the first row for which `holds` is true.
+    ///
+    /// # Errors
+    /// [`LodError::Cancelled`].
+    pub fn position<T>(
+        &self,
+        rows: &[T],
+        holds: impl Fn(&T) -> bool,
+    ) -> Result<Option<usize>, LodError> {
+        for (part, rows) in rows.chunks(ELEMENTS_PER_CHECK).enumerate() {
+            self.check()?;
+            if let Some(row) = rows.iter().position(&holds) {
+                return Ok(Some(part * ELEMENTS_PER_CHECK + row));
+            }
+        }
+        Ok(None)
     }
 }
 
@@ -139,5 +187,21 @@ mod tests {
         assert_eq!(job.progress(), (1, 3), "one of three steps");
         job.cancel();
         assert_eq!(job.check(), Err(LodError::Cancelled), "cancelled");
+        assert_eq!(job.collect(1, |row| row), Err(LodError::Cancelled), "makes nothing");
+        assert_eq!(job.position(&[1], |_| true), Err(LodError::Cancelled), "looks for nothing");
+    }
+
+    #[test]
+    fn long_rows_are_made_and_searched_in_order() {
+        let job = Job::default();
+        for count in [0, 1, ELEMENTS_PER_CHECK, 3 * ELEMENTS_PER_CHECK + 7] {
+            let rows = job.collect(count, |row| row).expect("not cancelled");
+            assert!(rows.iter().copied().eq(0..count), "{count} rows in order");
+            for wanted in [0, count / 2, count.saturating_sub(1)] {
+                let found = job.position(&rows, |&row| row >= wanted).expect("not cancelled");
+                assert_eq!(found, (count > 0).then_some(wanted), "first of {count} rows");
+            }
+            assert_eq!(job.position(&rows, |_| false), Ok(None), "none of {count} rows");
+        }
     }
 }

@@ -57,6 +57,10 @@ LONG_CALLS = {
         "tl.Plant.from_mesh({'positions': corners.reshape(-1, 3), 'triangles': "
         "np.arange(3_000_000).reshape(-1, 3)})",
     ),
+    # memory for as many leaves is taken as they grow, so that this takes little
+    "grow": ("", "tl.grow_plant('chestnut', leaf_count=5_000_000)"),
+    "grow grass": ("", "tl.grow_plant('grass', leaf_count=5_000_000)"),
+    "grow florets": ("", "tl.grow_plant('sunflower', leaf_count=5_000_000)"),
     "scene": (
         "scene = tl.Scene([(mesh, np.tile(np.eye(4), (20_000, 1, 1)))])",
         "tl.render(scene, camera, samples=16)",

@@ -105,7 +105,14 @@ class Plant:
     @property
     def leaves(self) -> tuple[_U32, _F32, _F32, _F32]: ...
 
-def grow(preset: str, seed: int, leaf_count: int | None, lighting: _LightingFacts) -> Plant: ...
+def grow(
+    preset: str,
+    seed: int,
+    leaf_count: int | None,
+    lighting: _LightingFacts,
+    *,
+    progress: Callable[[int, int], object] | None = None,
+) -> Plant: ...
 def preset_names() -> list[str]: ...
 def split_plant(
     name: str,

@@ -406,7 +406,13 @@ def _subject(
         stage = f"growing {name}"
         stages(stage, 0, 1)
         seed = 1 if seed is None else seed
-        plant = grow_plant(name, seed=seed, leaf_count=leaf_count)
+        plant = grow_plant(
+            name,
+            seed=seed,
+            leaf_count=leaf_count,
+            # the light comes after the last leaf
+            progress=lambda done, total: stages(stage, done, total + 1),
+        )
         stages(stage, 1, 1)
         source = {"preset": name, "seed": seed, "leaf_count": plant.foliage.leaf_count}
         return plant, source

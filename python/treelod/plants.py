@@ -1,6 +1,7 @@
 """Where plants come from: files, or a preset and a seed."""
 
 import operator
+from collections.abc import Callable
 
 from treelod import _core
 from treelod.loading import load_plant
@@ -27,6 +28,7 @@ def grow_plant(
     seed: int = 1,
     leaf_count: int | None = None,
     lighting: Lighting | None = None,
+    progress: Callable[[int, int], object] | None = None,
 ) -> Plant:
     """
     Grow a plant: the same one for the same arguments, on every machine.
@@ -47,6 +49,9 @@ def grow_plant(
         Leaves in excess of the preset's number are smaller, so that the leaf area stays.
     lighting : Lighting, optional
         Default: ``Lighting()``.
+    progress : callable, optional
+        Called as ``progress(done, total)`` while leaves grow, and once more from 0 on while
+        occlusion is computed, if there is any; what it raises stops the call.
 
     Returns
     -------
@@ -90,4 +95,4 @@ def grow_plant(
             msg = f"leaf_count must be at least 1 and at most 5000000, got {leaf_count}"
             raise ValueError(msg)
     facts = (lighting or Lighting())._facts()
-    return Plant(_core.grow(preset, seed, leaf_count, facts))
+    return Plant(_core.grow(preset, seed, leaf_count, facts, progress=progress))

@@ -84,6 +84,7 @@ mod tests {
     use glam::{Vec2, Vec3, Vec4};
 
     use super::*;
+    use crate::job::Job;
     use crate::plant::{AlphaMode, Lighting, Material};
     use crate::texture::Sampler;
 
@@ -124,8 +125,17 @@ mod tests {
         };
         let materials = vec![material.clone(), material];
         let (name, lighting) = ("test".to_owned(), Lighting::default());
-        Plant::new(name, glam::DVec3::ZERO, materials, wood, leaves, offsets, lighting)
-            .expect("valid")
+        Plant::new(
+            name,
+            glam::DVec3::ZERO,
+            materials,
+            wood,
+            leaves,
+            offsets,
+            lighting,
+            &Job::default(),
+        )
+        .expect("valid")
     }
 
     #[test]
@@ -140,7 +150,7 @@ mod tests {
             assert_eq!(mesh.parts.len(), 2, "both materials are left");
             let first = mesh.parts[0].triangles.len();
             assert!((first * 2).abs_diff(found) <= 6, "each keeps its share: {first} of {found}");
-            mesh.check(2).expect("consistent");
+            mesh.check(2, &Job::default()).expect("consistent");
             assert!(mesh.positions.len() < found, "and only the vertices in use");
             assert!(mesh.front.iter().all(|c| plant.wood.front.contains(c)), "light is kept");
         }

@@ -7,14 +7,10 @@
 
 use std::ops::Range;
 
-use glam::{DVec3, Vec3};
-use rayon::prelude::*;
-
 use crate::error::LodError;
+use crate::job::Job;
 use crate::plant::mesh::{Mesh, area_normal};
-
-/// Leaves per rayon job.
-const MIN_LEAVES_PER_JOB: usize = 1024;
+use glam::{DVec3, Vec3};
 
 /// A mesh whose triangles are grouped into leaves.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -36,8 +32,8 @@ impl Foliage {
     ///
     /// # Errors
     /// [`LodError::Invalid`] unless `leaf_offsets` begins with 0, ends with the triangle count and
-    /// rises at every step (a leaf has at least one triangle).
-    pub fn new(mesh: Mesh, leaf_offsets: Vec<u32>) -> Result<Self, LodError> {
+    /// rises at every step (a leaf has at least one triangle); [`LodError::Cancelled`].
+    pub fn new(mesh: Mesh, leaf_offsets: Vec<u32>, job: &Job) -> Result<Self, LodError> {
         let ends = (leaf_offsets.first().copied(), leaf_offsets.last().copied());
         let rising = leaf_offsets.windows(2).all(|pair| pair[0] < pair[1]);
         let covers = ends.1.is_some_and(|end| end as usize == mesh.triangles.len());
@@ -48,14 +44,12 @@ impl Foliage {
             );
             return Err(LodError::Invalid { name: "leaf_offsets", why });
         }
-        let measured: Vec<(Vec3, Vec3, f32)> = leaf_offsets
-            .par_windows(2)
-            .with_min_len(MIN_LEAVES_PER_JOB)
-            .map(|pair| measure(&mesh, pair[0] as usize..pair[1] as usize))
-            .collect();
-        let centers = measured.iter().map(|leaf| leaf.0).collect();
-        let normals = measured.iter().map(|leaf| leaf.1).collect();
-        let areas = measured.iter().map(|leaf| leaf.2).collect();
+        let measured: Vec<(Vec3, Vec3, f32)> = job.collect(leaf_offsets.len() - 1, |leaf| {
+            measure(&mesh, leaf_offsets[leaf] as usize..leaf_offsets[leaf + 1] as usize)
+        })?;
+        let centers = job.collect(measured.len(), |leaf| measured[leaf].0)?;
+        let normals = job.collect(measured.len(), |leaf| measured[leaf].1)?;
+        let areas = job.collect(measured.len(), |leaf| measured[leaf].2)?;
         Ok(Self { mesh, leaf_offsets, centers, normals, areas })
     }
 
@@ -117,7 +111,7 @@ mod tests {
             triangles: triangles.to_vec(),
             parts: Mesh::parts_from_ids(&vec![0; triangles.len()]),
         };
-        Foliage::new(mesh, offsets.to_vec()).expect("valid")
+        Foliage::new(mesh, offsets.to_vec(), &Job::default()).expect("valid")
     }
 
     #[test]
@@ -160,12 +154,12 @@ mod tests {
     fn offsets_must_cover_the_triangles() {
         let mesh = foliage(&[Vec3::ZERO, Vec3::X, Vec3::Y], &[[0, 1, 2]; 3], &[0, 1, 3]).mesh;
         for offsets in [&[][..], &[0], &[0, 2], &[1, 3], &[0, 1, 1, 3], &[0, 2, 1, 3], &[0, 4]] {
-            let result = Foliage::new(mesh.clone(), offsets.to_vec());
+            let result = Foliage::new(mesh.clone(), offsets.to_vec(), &Job::default());
             assert!(result.is_err(), "{offsets:?}");
         }
-        let leaves = Foliage::new(mesh, vec![0, 1, 3]).expect("valid");
+        let leaves = Foliage::new(mesh, vec![0, 1, 3], &Job::default()).expect("valid");
         assert_eq!(leaves.triangles_of(1), 1..3, "the second leaf");
-        let none = Foliage::new(Mesh::default(), vec![0]).expect("valid");
+        let none = Foliage::new(Mesh::default(), vec![0], &Job::default()).expect("valid");
         assert_eq!(none.leaf_count(), 0, "no leaves at all");
     }
 }

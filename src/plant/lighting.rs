@@ -17,6 +17,7 @@
 use glam::{DVec3, Vec3};
 
 use crate::error::{LodError, check_finite, check_in};
+use crate::job::Job;
 use crate::plant::mesh::Mesh;
 use crate::plant::occlusion::Seen;
 
@@ -89,21 +90,26 @@ impl Lighting {
     /// Fills `front` and `back` of a mesh from its base colours and normals.
     ///
     /// `seen` has one value a vertex; `None`: every vertex sees everything.
-    pub fn light(&self, mesh: &mut Mesh, translucency: f64, seen: Option<&[Seen]>) {
-        let lit: Vec<(Vec3, Vec3)> = mesh
-            .normals
-            .iter()
-            .zip(&mesh.base)
-            .enumerate()
-            .map(|(vertex, (&normal, base))| {
+    ///
+    /// # Errors
+    /// [`LodError::Cancelled`].
+    pub fn light(
+        &self,
+        mesh: &mut Mesh,
+        translucency: f64,
+        seen: Option<&[Seen]>,
+        job: &Job,
+    ) -> Result<(), LodError> {
+        let lit: Vec<(Vec3, Vec3)> =
+            job.collect(mesh.normals.len().min(mesh.base.len()), |vertex| {
                 let seen = seen.map_or(Seen::ALL, |seen| seen[vertex]);
-                let (front, back) = self.front_back(normal, translucency, seen);
-                let base = base.truncate().as_dvec3();
+                let (front, back) = self.front_back(mesh.normals[vertex], translucency, seen);
+                let base = mesh.base[vertex].truncate().as_dvec3();
                 ((base * front).as_vec3(), (base * back).as_vec3())
-            })
-            .collect();
-        mesh.front = lit.iter().map(|sides| sides.0).collect();
-        mesh.back = lit.iter().map(|sides| sides.1).collect();
+            })?;
+        mesh.front = job.collect(lit.len(), |vertex| lit[vertex].0)?;
+        mesh.back = job.collect(lit.len(), |vertex| lit[vertex].1)?;
+        Ok(())
     }
 
     fn irradiance(&self, normal: DVec3, seen: [f32; 2]) -> DVec3 {
@@ -198,7 +204,7 @@ mod tests {
             base: vec![base; 2],
             ..Mesh::default()
         };
-        noon(0.25).light(&mut mesh, 0.0, None);
+        noon(0.25).light(&mut mesh, 0.0, None, &Job::default()).expect("not cancelled");
         assert_eq!(mesh.front[0], Vec3::new(0.5, 0.75, 0.125), "base times UP; alpha stays out");
         assert_eq!(mesh.back[0], Vec3::new(0.0, 0.0, 0.0625), "base times DOWN");
         assert_eq!(mesh.front[1], mesh.back[1], "no normal: the mean of sky and ground");

@@ -7,7 +7,8 @@ use std::ops::Range;
 
 use glam::{DVec3, Vec2, Vec3, Vec4};
 
-use crate::error::{LodError, check_finite, check_limit};
+use crate::error::{Finite, LodError, check_limit};
+use crate::job::Job;
 
 /// Vertices or triangles that one mesh may hold: indices are u32 with one value kept back.
 pub const MAX_ELEMENT_COUNT: u64 = u32::MAX as u64 - 1;
@@ -73,8 +74,9 @@ impl Mesh {
     /// Checks lengths, indices, finiteness and that `parts` covers the triangles.
     ///
     /// # Errors
-    /// The first thing that is wrong, under the name of the array it is wrong in.
-    pub fn check(&self, material_count: usize) -> Result<(), LodError> {
+    /// The first thing that is wrong, under the name of the array it is wrong in;
+    /// [`LodError::Cancelled`].
+    pub fn check(&self, material_count: usize, job: &Job) -> Result<(), LodError> {
         let vertex_count = self.positions.len();
         check_limit("positions", vertex_count as u64, MAX_ELEMENT_COUNT, "vertices")?;
         check_limit("triangles", self.triangles.len() as u64, MAX_ELEMENT_COUNT, "triangles")?;
@@ -91,16 +93,16 @@ impl Mesh {
                 return Err(LodError::Invalid { name, why });
             }
         }
-        check_finite("positions", &self.positions)?;
-        check_finite("normals", &self.normals)?;
-        check_finite("uvs", &self.uvs)?;
-        check_finite("colors", &self.base)?;
-        if let Some(row) = self.base.iter().position(|color| color.min_element() < 0.0) {
+        check_finite("positions", &self.positions, job)?;
+        check_finite("normals", &self.normals, job)?;
+        check_finite("uvs", &self.uvs, job)?;
+        check_finite("colors", &self.base, job)?;
+        if let Some(row) = job.position(&self.base, |color| color.min_element() < 0.0)? {
             let why = format!("row {row} is negative: {:?}", self.base[row].to_array());
             return Err(LodError::Invalid { name: "colors", why });
         }
         let beyond = |corners: &[u32; 3]| corners.iter().any(|&v| v as usize >= vertex_count);
-        if let Some(triangle) = self.triangles.iter().position(beyond) {
+        if let Some(triangle) = job.position(&self.triangles, beyond)? {
             let corners = self.triangles[triangle];
             let why = format!(
                 "triangle {triangle} has corners {corners:?} but there are {vertex_count} vertices"
@@ -161,6 +163,14 @@ impl Mesh {
     }
 }
 
+/// As [`error::check_finite`](crate::error::check_finite), for arrays that may be long.
+fn check_finite<T: Finite>(name: &'static str, rows: &[T], job: &Job) -> Result<(), LodError> {
+    match job.position(rows, |row| !row.all_finite())? {
+        None => Ok(()),
+        Some(index) => Err(LodError::NotFinite { name, index }),
+    }
+}
+
 /// Area of a triangle, in f64 so that sums over a crown stay exact enough.
 pub fn triangle_area([a, b, c]: [Vec3; 3]) -> f64 {
     area_normal([a, b, c]).length()
@@ -213,7 +223,7 @@ mod tests {
         let says = |change: &dyn Fn(&mut Mesh)| {
             let mut mesh = triangle();
             change(&mut mesh);
-            mesh.check(1).map_err(|error| error.to_string())
+            mesh.check(1, &Job::default()).map_err(|error| error.to_string())
         };
         assert_eq!(says(&|_| ()), Ok(()), "valid");
         type Case<'a> = (&'a dyn Fn(&mut Mesh), &'a str);

@@ -61,7 +61,9 @@ impl Plant {
     /// Checks every array, measures the leaves and lights the plant.
     ///
     /// # Errors
-    /// The first array that is wrong, by name; [`LodError::Empty`] without any triangle.
+    /// The first array that is wrong, by name; [`LodError::Empty`] without any triangle;
+    /// [`LodError::Cancelled`].
+    #[expect(clippy::too_many_arguments, reason = "what a plant consists of, and the job")]
     pub fn new(
         name: String,
         origin: DVec3,
@@ -70,6 +72,7 @@ impl Plant {
         mut leaves: Mesh,
         leaf_offsets: Vec<u32>,
         lighting: Lighting,
+        job: &Job,
     ) -> Result<Self, LodError> {
         check_finite("origin", &[origin])?;
         lighting.check()?;
@@ -79,19 +82,17 @@ impl Plant {
             }
         }
         for (mesh, translucency) in [(&mut wood, 0.0), (&mut leaves, lighting.translucency)] {
-            // lengths are checked after lighting, which fills two of the arrays
-            mesh.front.resize(mesh.positions.len(), Vec3::ZERO);
-            mesh.back.resize(mesh.positions.len(), Vec3::ZERO);
-            mesh.check(materials.len())?;
-            lighting.light(mesh, translucency, None);
+            // lighting fills two of the arrays that are checked
+            lighting.light(mesh, translucency, None, job)?;
+            mesh.check(materials.len(), job)?;
         }
         if wood.is_empty() && leaves.is_empty() {
             return Err(LodError::Empty { name: "plant", why: "it has no triangles" });
         }
-        let foliage = Foliage::new(leaves, leaf_offsets)?;
+        let foliage = Foliage::new(leaves, leaf_offsets, job)?;
         let lit = lighting.without_occlusion();
         let plant = Self { name, origin, materials, wood, foliage, lighting: lit, structure: None };
-        plant.relit(lighting, &Job::default())
+        plant.relit(lighting, job)
     }
 
     /// The same plant under other light.
@@ -117,8 +118,8 @@ impl Plant {
             None
         };
         let of = |mesh: usize| seen.as_ref().map(|seen| &seen[mesh][..]);
-        lighting.light(&mut self.wood, 0.0, of(0));
-        lighting.light(&mut self.foliage.mesh, lighting.translucency, of(1));
+        lighting.light(&mut self.wood, 0.0, of(0), job)?;
+        lighting.light(&mut self.foliage.mesh, lighting.translucency, of(1), job)?;
         self.lighting = lighting;
         Ok(self)
     }

@@ -139,7 +139,7 @@ pub fn split(
     named: Option<&[bool]>,
     job: &Job,
 ) -> Result<Split, LodError> {
-    mesh.check(materials.len())?;
+    mesh.check(materials.len(), job)?;
     if let Some(named) = named
         && named.len() != mesh.triangles.len()
     {

@@ -8,19 +8,17 @@ use crate::plant::{Lighting, grow as core};
 
 /// A plant of a preset.
 #[pyfunction]
+#[pyo3(signature = (preset, seed, leaf_count, lighting, *, progress=None))]
 pub(super) fn grow(
     py: Python<'_>,
     preset: &str,
     seed: u64,
     leaf_count: Option<usize>,
     lighting: LightingFacts,
+    progress: Option<Py<PyAny>>,
 ) -> PyResult<Plant> {
     let lighting = Lighting::from(lighting);
-    let plant = run(py, None, None, |job| {
-        lighting.check()?;
-        let light = lighting.without_occlusion();
-        core::grow(preset, seed, leaf_count, light)?.relit(lighting, job)
-    })?;
+    let plant = run(py, None, progress, |job| core::grow(preset, seed, leaf_count, lighting, job))?;
     Ok(plant.into())
 }
 

@@ -168,9 +168,7 @@ impl Plant {
         let lighting = Lighting::from(lighting);
         let plant = run(py, None, None, move |job| {
             let origin = DVec3::from(origin);
-            let light = lighting.without_occlusion();
-            core::Plant::new(name, origin, materials, wood, foliage, leaf_offsets, light)?
-                .relit(lighting, job)
+            core::Plant::new(name, origin, materials, wood, foliage, leaf_offsets, lighting, job)
         })?;
         Ok(plant.into())
     }
@@ -297,9 +295,9 @@ pub(super) fn split_plant(
         drop(mesh);
         let (wood, leaves, offsets) = (parts.wood, parts.leaves, parts.leaf_offsets);
         let origin = DVec3::from(origin);
-        let light = lighting.without_occlusion();
-        let plant = core::Plant::new(name, origin, materials, wood, leaves, offsets, light)?;
-        Ok((plant.relit(lighting, job)?, parts.tallies))
+        let plant =
+            core::Plant::new(name, origin, materials, wood, leaves, offsets, lighting, job)?;
+        Ok((plant, parts.tallies))
     })?;
     let row = |t: Tally| (t.material, t.reason.name(), t.piece_count, t.triangle_count);
     Ok((plant.into(), tallies.into_iter().map(row).collect()))

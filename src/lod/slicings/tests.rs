@@ -51,7 +51,8 @@ fn plant_at(origin: DVec3, wood: &[Leaf], leaves: &[Leaf]) -> Plant {
     let name = "test".to_owned();
     let lighting = Lighting::default();
     let (wood, leaves) = (quads(wood), quads(leaves));
-    Plant::new(name, origin, vec![material], wood, leaves, offsets, lighting).expect("valid")
+    Plant::new(name, origin, vec![material], wood, leaves, offsets, lighting, &Job::default())
+        .expect("valid")
 }
 
 fn plant(leaves: &[Leaf]) -> Plant {

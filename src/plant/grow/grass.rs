@@ -2,6 +2,8 @@
 
 use glam::DVec3;
 
+use crate::error::LodError;
+use crate::job::Job;
 use crate::plant::Mesh;
 use crate::plant::grow::Grown;
 use crate::plant::grow::blade::Elements;
@@ -51,21 +53,32 @@ pub(super) struct Tuft {
 }
 
 /// A tuft of `blade_count` blades.
-pub(super) fn tuft(tuft: &Tuft, seed: u64, blade_count: usize) -> Grown {
+///
+/// # Errors
+/// [`LodError::Cancelled`].
+pub(super) fn tuft(
+    tuft: &Tuft,
+    seed: u64,
+    blade_count: usize,
+    job: &Job,
+) -> Result<Grown, LodError> {
     // more blades than usual are smaller ones, as leaves are
     let scale = (tuft.blade_count as f64 / blade_count as f64).min(1.0).sqrt();
     let mut foliage = Elements::new();
+    job.begin(blade_count as u64);
     for id in 0..blade_count {
+        job.check()?;
         add_blade(tuft, scale, Stream::new(seed, BLADE, id as u64), &mut foliage);
+        job.advance();
     }
-    Grown {
+    Ok(Grown {
         stems: Vec::new(),
         wood: Mesh::default(),
         wood_ranges: Vec::new(),
         foliage,
         materials: &["leaves"],
         petals: 0..0,
-    }
+    })
 }
 
 fn add_blade(tuft: &Tuft, scale: f64, mut stream: Stream, out: &mut Elements) {

@@ -8,6 +8,8 @@
 
 use glam::{DVec3, Vec3};
 
+use crate::error::LodError;
+use crate::job::Job;
 use crate::plant::Mesh;
 use crate::plant::grow::Grown;
 use crate::plant::grow::blade::{Elements, Pose};
@@ -121,7 +123,15 @@ impl Herb {
 }
 
 /// A herb whose foliage has `leaf_count` elements: what is no leaf, ray or bract is a floret.
-pub(super) fn herb(herb: &Herb, seed: u64, leaf_count: usize) -> Grown {
+///
+/// # Errors
+/// [`LodError::Cancelled`].
+pub(super) fn herb(
+    herb: &Herb,
+    seed: u64,
+    leaf_count: usize,
+    job: &Job,
+) -> Result<Grown, LodError> {
     let mut grower = Grower { herb, seed, stems: Vec::new(), flower_stems: Vec::new() };
     grower.grow_stems();
     let (stems, flower_stems) = (&grower.stems, &grower.flower_stems);
@@ -137,6 +147,7 @@ pub(super) fn herb(herb: &Herb, seed: u64, leaf_count: usize) -> Grown {
     let mut wood = Mesh::default();
     let mut wood_ranges = Vec::with_capacity(stems.len());
     let floret_count = leaf_count - herb.fixed_count();
+    job.begin(floret_count as u64);
     for (id, stem) in (0_u32..).zip(stems) {
         let first = wood_index(wood.triangles.len());
         let stream = Stream::new(seed, BARK, u64::from(id));
@@ -148,8 +159,9 @@ pub(super) fn herb(herb: &Herb, seed: u64, leaf_count: usize) -> Grown {
             add_body(herb, &frame, &mut wood);
             let (from, to) = (flower * floret_count, (flower + 1) * floret_count);
             let here = to / flower_stems.len() - from / flower_stems.len();
-            let stream = Stream::new(seed, HEAD, u64::from(id));
-            add_flower(&herb.head, &frame, here, herb.green, stream, id, &mut foliage);
+            let mut stream = Stream::new(seed, HEAD, u64::from(id));
+            add_florets(&herb.head, &frame, here, &mut stream, id, &mut foliage, job)?;
+            add_rim(&herb.head, &frame, herb.green, stream, id, &mut foliage);
         }
         wood_ranges.push(first..wood_index(wood.triangles.len()));
     }
@@ -159,7 +171,7 @@ pub(super) fn herb(herb: &Herb, seed: u64, leaf_count: usize) -> Grown {
     }
     wood.uvs.resize(wood.positions.len(), glam::Vec2::ZERO);
     let materials = &["stems", "leaves", "flowers"];
-    Grown { stems: grower.stems, wood, wood_ranges, foliage, materials, petals }
+    Ok(Grown { stems: grower.stems, wood, wood_ranges, foliage, materials, petals })
 }
 
 struct Grower<'a> {
@@ -355,20 +367,21 @@ fn add_body(herb: &Herb, frame: &Frame, wood: &mut Mesh) {
     }
 }
 
-/// Adds the florets, rays and bracts of one head.
-fn add_flower(
+/// Adds the florets of one head.
+fn add_florets(
     head: &Head,
     frame: &Frame,
     floret_count: usize,
-    green: [f64; 3],
-    mut stream: Stream,
+    stream: &mut Stream,
     owner: u32,
     out: &mut Elements,
-) {
-    let Head { radius, dome, depth, .. } = *head;
+    job: &Job,
+) -> Result<(), LodError> {
+    let Head { radius, dome, .. } = *head;
     let (middle, rim) = (DVec3::from(head.disc.0), DVec3::from(head.disc.1));
     let floret_length = 2.4 * radius / (floret_count.max(1) as f64).sqrt();
     for number in 0..floret_count {
+        job.check()?;
         let share = ((number as f64 + 0.5) / floret_count as f64).sqrt() * 0.97;
         let outward = frame.outward((number as f64 * GOLDEN_ANGLE).to_radians());
         let height = dome * radius * (1.0 - share * share);
@@ -379,7 +392,21 @@ fn add_flower(
         let foot = foot - direction * (length * 0.3);
         let color = middle.lerp(rim, share * share) * (1.0 + 0.25 * stream.signed());
         out.push(owner, &head.floret, &Pose { foot, direction, normal, length, curl: 0.0 }, color);
+        job.advance();
     }
+    Ok(())
+}
+
+/// Adds the rays and bracts of one head.
+fn add_rim(
+    head: &Head,
+    frame: &Frame,
+    green: [f64; 3],
+    mut stream: Stream,
+    owner: u32,
+    out: &mut Elements,
+) {
+    let Head { radius, dome, depth, .. } = *head;
     let start = stream.unit();
     for number in 0..head.ray_count {
         let place = number as f64 + start + 0.25 * stream.signed();

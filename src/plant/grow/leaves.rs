@@ -7,6 +7,8 @@
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
+use crate::error::LodError;
+use crate::job::Job;
 use crate::plant::Mesh;
 use crate::plant::grow::blade::{Pose, Vertices};
 use crate::plant::grow::params::{Species, bulge};
@@ -19,8 +21,8 @@ const LONGEST_LEAF: f64 = 0.4;
 
 const LEAF: Purpose = Purpose::named("grow.leaf");
 
-/// Leaves per rayon job.
-const MIN_LEAVES_PER_JOB: usize = 512;
+/// Leaves per rayon job: half a millisecond.
+const LEAVES_PER_JOB: usize = 512;
 
 /// Where a leaf sits.
 #[derive(Debug, Clone, Copy)]
@@ -41,52 +43,64 @@ struct Crown {
 }
 
 /// The foliage's triangles, `blade.triangles.len()` a leaf, and each leaf's stem.
+///
+/// # Errors
+/// [`LodError::Cancelled`].
 pub(super) fn leaves(
     species: &Species,
     seed: u64,
     stems: &[Stem],
     count: usize,
-) -> (Mesh, Vec<u32>) {
+    job: &Job,
+) -> Result<(Mesh, Vec<u32>), LodError> {
     let crown = Crown::around(species, stems);
-    let sites = sites(species, seed, stems, count);
+    let sites = sites(species, seed, stems, count, job)?;
     // more leaves than usual are smaller ones: the crown keeps its leaf area and its gaps
     let scale = (species.leaves.count as f64 / count as f64).min(1.0).sqrt();
     let blade = species.leaves.blade;
     let per_leaf = blade.vertices.len();
 
     let mut mesh = Mesh {
-        positions: vec![Vec3::ZERO; count * per_leaf],
-        normals: vec![Vec3::ZERO; count * per_leaf],
-        uvs: vec![Vec2::ZERO; count * per_leaf],
-        base: vec![Vec4::ONE; count * per_leaf],
+        positions: job.collect(count * per_leaf, |_| Vec3::ZERO)?,
+        normals: job.collect(count * per_leaf, |_| Vec3::ZERO)?,
+        uvs: job.collect(count * per_leaf, |_| Vec2::ZERO)?,
+        base: job.collect(count * per_leaf, |_| Vec4::ONE)?,
         ..Mesh::default()
     };
     let outputs = (
-        mesh.positions.par_chunks_exact_mut(per_leaf),
-        mesh.normals.par_chunks_exact_mut(per_leaf),
-        mesh.uvs.par_chunks_exact_mut(per_leaf),
-        mesh.base.par_chunks_exact_mut(per_leaf),
+        mesh.positions.par_chunks_mut(per_leaf * LEAVES_PER_JOB),
+        mesh.normals.par_chunks_mut(per_leaf * LEAVES_PER_JOB),
+        mesh.uvs.par_chunks_mut(per_leaf * LEAVES_PER_JOB),
+        mesh.base.par_chunks_mut(per_leaf * LEAVES_PER_JOB),
     );
-    (sites.par_iter().enumerate(), outputs.0, outputs.1, outputs.2, outputs.3)
-        .into_par_iter()
-        .with_min_len(MIN_LEAVES_PER_JOB)
-        .for_each(|((id, site), positions, normals, uvs, base)| {
-            let stream = Stream::new(seed, LEAF, id as u64);
-            let out = Vertices { positions, normals, uvs, base };
-            fill(out, species, &stems[site.stem as usize], site, &crown, scale, stream);
-        });
-    mesh.triangles = (0..count)
-        .into_par_iter()
-        .flat_map_iter(|leaf| {
-            let first = leaf * per_leaf;
-            blade.triangles.iter().map(move |corners| {
-                corners.map(|corner| {
-                    u32::try_from(first + usize::from(corner)).expect("the leaf limit keeps to u32")
-                })
-            })
+    job.begin(count as u64);
+    let parts = sites.par_chunks(LEAVES_PER_JOB).enumerate();
+    (parts, outputs.0, outputs.1, outputs.2, outputs.3).into_par_iter().try_for_each(
+        |((part, sites), positions, normals, uvs, base)| {
+            job.check()?;
+            for (i, site) in sites.iter().enumerate() {
+                let stream = Stream::new(seed, LEAF, (part * LEAVES_PER_JOB + i) as u64);
+                let here = i * per_leaf..(i + 1) * per_leaf;
+                let out = Vertices {
+                    positions: &mut positions[here.clone()],
+                    normals: &mut normals[here.clone()],
+                    uvs: &mut uvs[here.clone()],
+                    base: &mut base[here],
+                };
+                fill(out, species, &stems[site.stem as usize], site, &crown, scale, stream);
+            }
+            job.advance_by(sites.len());
+            Ok::<_, LodError>(())
+        },
+    )?;
+    let per_blade = blade.triangles.len();
+    mesh.triangles = job.collect(count * per_blade, |triangle| {
+        let first = triangle / per_blade * per_leaf;
+        blade.triangles[triangle % per_blade].map(|corner| {
+            u32::try_from(first + usize::from(corner)).expect("the leaf limit keeps to u32")
         })
-        .collect();
-    (mesh, sites.iter().map(|site| site.stem).collect())
+    })?;
+    Ok((mesh, job.collect(count, |leaf| sites[leaf].stem)?))
 }
 
 /// Puts a leaf where it belongs.
@@ -166,7 +180,13 @@ fn bare_length(species: &Species, stem: &Stem) -> f64 {
 }
 
 /// Shares `count` leaves out over the leafy wood, by length.
-fn sites(species: &Species, seed: u64, stems: &[Stem], count: usize) -> Vec<Site> {
+fn sites(
+    species: &Species,
+    seed: u64,
+    stems: &[Stem],
+    count: usize,
+    job: &Job,
+) -> Result<Vec<Site>, LodError> {
     const SITE: Purpose = Purpose::named("grow.site");
     let ends: Vec<f64> = stems
         .iter()
@@ -196,6 +216,7 @@ fn sites(species: &Species, seed: u64, stems: &[Stem], count: usize) -> Vec<Site
         let anywhere = stream.unit() * 360.0;
         let mut around = species.leaves.first.unwrap_or(anywhere);
         for whorl in 0..whorls {
+            job.check()?;
             // the topmost whorl is the one on the tip, and the one that is always full
             let from_tip = whorls - 1 - whorl;
             let jitter = if from_tip == 0 { 0.0 } else { 0.4 * stream.signed() };
@@ -214,7 +235,7 @@ fn sites(species: &Species, seed: u64, stems: &[Stem], count: usize) -> Vec<Site
             }
         }
     }
-    sites
+    Ok(sites)
 }
 
 #[cfg(test)]
@@ -226,12 +247,14 @@ mod tests {
     #[test]
     fn leaves_are_shared_out_by_length() {
         for species in trees() {
-            let stems = grow_stems(species, 1);
+            let job = Job::default();
+            let stems = grow_stems(species, 1, &job).expect("not cancelled");
             for count in [1, 2, 7, species.leaves.count] {
-                let sites = sites(species, 1, &stems, count);
+                let sites = sites(species, 1, &stems, count, &job).expect("not cancelled");
                 assert_eq!(sites.len(), count, "{}", species.name);
             }
-            let sites = sites(species, 1, &stems, species.leaves.count);
+            let count = species.leaves.count;
+            let sites = sites(species, 1, &stems, count, &job).expect("not cancelled");
             let leafy = |stem: &Stem| stem.length() - bare_length(species, stem);
             let total: f64 = stems.iter().map(leafy).sum();
             for (id, stem) in stems.iter().enumerate() {
@@ -245,9 +268,12 @@ mod tests {
     #[test]
     fn no_leaf_floats_and_no_twig_is_bare() {
         for species in trees() {
-            let stems = grow_stems(species, 1);
-            let (mesh, owners) = leaves(species, 1, &stems, species.leaves.count);
-            let sites = sites(species, 1, &stems, species.leaves.count);
+            let job = Job::default();
+            let stems = grow_stems(species, 1, &job).expect("not cancelled");
+            let count = species.leaves.count;
+            let grown = leaves(species, 1, &stems, count, &job);
+            let (mesh, owners) = grown.expect("not cancelled");
+            let sites = sites(species, 1, &stems, count, &job).expect("not cancelled");
             let per_leaf = species.leaves.blade.vertices.len();
             for (leaf, site) in sites.iter().enumerate() {
                 // a blade's first vertex is where it is fixed

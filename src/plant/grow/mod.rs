@@ -30,6 +30,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use crate::error::{LodError, check_in};
+use crate::job::Job;
 use crate::plant::grow::blade::Elements;
 use crate::plant::grow::presets::{PRESETS, Preset};
 use crate::plant::grow::skeleton::Stem;
@@ -59,15 +60,18 @@ struct Grown {
 
 /// Grows a plant of a preset, with the preset's own number of leaves unless another is asked for.
 ///
+/// The job's steps are leaves, those that can be many.
+///
 /// # Errors
 /// [`LodError::Invalid`] for an unknown preset; [`LodError::OutOfRange`] if `leaf_count` is above
 /// [`MAX_LEAF_COUNT`], or leaves no leaf beside what the preset always has (twigs, parts of flowers);
-/// whatever [`Lighting::check`] refuses.
+/// whatever [`Lighting::check`] refuses; [`LodError::Cancelled`].
 pub fn grow(
     preset: &str,
     seed: u64,
     leaf_count: Option<usize>,
     lighting: Lighting,
+    job: &Job,
 ) -> Result<Plant, LodError> {
     let Some(chosen) = PRESETS.iter().find(|known| known.name() == preset) else {
         let known = preset_names().collect::<Vec<_>>().join(", ");
@@ -79,11 +83,11 @@ pub fn grow(
     check_in("leaf_count", leaf_count, fixed + 1..=MAX_LEAF_COUNT)?;
     lighting.check()?;
     let grown = match chosen {
-        Preset::Tree(species) => tree::tree(species, seed, leaf_count),
-        Preset::Herb(herb) => herb::herb(herb, seed, leaf_count),
-        Preset::Tuft(tuft) => grass::tuft(tuft, seed, leaf_count),
+        Preset::Tree(species) => tree::tree(species, seed, leaf_count, job)?,
+        Preset::Herb(herb) => herb::herb(herb, seed, leaf_count, job)?,
+        Preset::Tuft(tuft) => grass::tuft(tuft, seed, leaf_count, job)?,
     };
-    grown.plant(preset, lighting)
+    grown.plant(preset, lighting, job)
 }
 
 impl Preset {
@@ -101,7 +105,7 @@ impl Preset {
 }
 
 impl Grown {
-    fn plant(self, name: &str, lighting: Lighting) -> Result<Plant, LodError> {
+    fn plant(self, name: &str, lighting: Lighting, job: &Job) -> Result<Plant, LodError> {
         let Self { stems, mut wood, wood_ranges, foliage, materials, petals } = self;
         let Elements { mut mesh, offsets, owners } = foliage;
         let count = |mesh: &Mesh| u32::try_from(mesh.triangles.len()).expect("leaves are limited");
@@ -122,7 +126,8 @@ impl Grown {
         let materials =
             materials.iter().enumerate().map(|(id, name)| material(name, id > 0)).collect();
         let name = name.to_owned();
-        let mut plant = Plant::new(name, DVec3::ZERO, materials, wood, mesh, offsets, lighting)?;
+        let mut plant =
+            Plant::new(name, DVec3::ZERO, materials, wood, mesh, offsets, lighting, job)?;
         plant.structure = structure;
         Ok(plant)
     }

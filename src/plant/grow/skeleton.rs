@@ -11,6 +11,8 @@
 
 use glam::DVec3;
 
+use crate::error::LodError;
+use crate::job::Job;
 use crate::plant::grow::params::{Level, Outline, Species, Twigs, Vary};
 use crate::plant::grow::turn::{across, around_axis, level_side, side_direction, turn};
 use crate::plant::grow::twigs;
@@ -154,20 +156,23 @@ struct Start {
 /// Grows every stem; a parent stands before its children and a sub-tree before the next sibling.
 ///
 /// Twigs are spaced so that the wood has the species' number of triangles, whatever the seed.
-pub(super) fn grow_stems(species: &Species, seed: u64) -> Vec<Stem> {
-    let mut stems = grow_to_fit(species, seed);
+///
+/// # Errors
+/// [`LodError::Cancelled`].
+pub(super) fn grow_stems(species: &Species, seed: u64, job: &Job) -> Result<Vec<Stem>, LodError> {
+    let mut stems = grow_to_fit(species, seed, job)?;
     if let Twigs::Foliage(triangle_count) = species.twigs {
         twigs::thin_out(species, &mut stems, twigs::twig_count(triangle_count));
     }
-    stems
+    Ok(stems)
 }
 
-fn grow_to_fit(species: &Species, seed: u64) -> Vec<Stem> {
+fn grow_to_fit(species: &Species, seed: u64, job: &Job) -> Result<Vec<Stem>, LodError> {
     let target = species.stem_triangle_count as f64;
     let mut density = 1.0;
     let mut stems = Vec::new();
     for _ in 0..MAX_FITS {
-        stems = grow_at(species, seed, density);
+        stems = grow_at(species, seed, density, job)?;
         let count = |twigs: bool| {
             let of = stems.iter().filter(|stem| (stem.level + 1 == species.levels.len()) == twigs);
             of.map(|stem| stem.triangle_count(species)).sum::<usize>() as f64
@@ -178,10 +183,10 @@ fn grow_to_fit(species: &Species, seed: u64) -> Vec<Stem> {
         }
         density *= ((target - limbs) / twigs).clamp(0.3, 3.0);
     }
-    stems
+    Ok(stems)
 }
 
-fn grow_at(species: &Species, seed: u64, density: f64) -> Vec<Stem> {
+fn grow_at(species: &Species, seed: u64, density: f64, job: &Job) -> Result<Vec<Stem>, LodError> {
     let mut trunk = Stream::new(seed, STEM, 0);
     let height = species.trunk.height.at(trunk.signed());
     let mut grower = Grower {
@@ -192,6 +197,7 @@ fn grow_at(species: &Species, seed: u64, density: f64) -> Vec<Stem> {
         stems: Vec::new(),
         fork_debts: vec![0.0; species.levels.len()],
         branch_debts: vec![0.0; species.levels.len()],
+        job,
     };
     let start = Start {
         key: 0,
@@ -209,8 +215,8 @@ fn grow_at(species: &Species, seed: u64, density: f64) -> Vec<Stem> {
         parent_radius: 0.0,
         recover: 0.0,
     };
-    grower.grow(start);
-    grower.stems
+    grower.grow(start)?;
+    Ok(grower.stems)
 }
 
 struct Grower<'a> {
@@ -224,10 +230,12 @@ struct Grower<'a> {
     /// totals hardly depend on the seed.
     fork_debts: Vec<f64>,
     branch_debts: Vec<f64>,
+    job: &'a Job,
 }
 
 impl Grower<'_> {
-    fn grow(&mut self, mut start: Start) {
+    fn grow(&mut self, mut start: Start) -> Result<(), LodError> {
+        self.job.check()?;
         let id = self.stems.len();
         let mut stream = Stream::new(self.seed, STEM, start.key);
         let level = self.species.levels[start.level];
@@ -252,8 +260,9 @@ impl Grower<'_> {
         self.stems.push(Stem { parent: start.parent, level: start.level, nodes });
         let branches = self.side_branches(&start, id, &mut stream);
         for child in arms.into_iter().chain(branches) {
-            self.grow(child);
+            self.grow(child)?;
         }
+        Ok(())
     }
 
     /// Whether a stem does not hang below the crown, and a limb or an arm of the trunk keeps inside
@@ -558,7 +567,7 @@ mod tests {
     #[test]
     fn every_stem_begins_inside_its_parent() {
         for species in trees() {
-            let stems = grow_stems(species, 1);
+            let stems = grow_stems(species, 1, &Job::default()).expect("not cancelled");
             for stem in &stems[1..] {
                 let parent = &stems[stem.parent.expect("only the trunk has none") as usize];
                 let base = &stem.nodes[0];
@@ -572,7 +581,7 @@ mod tests {
     #[test]
     fn stems_taper_and_their_arcs_are_lengths() {
         for species in trees() {
-            for stem in grow_stems(species, 1) {
+            for stem in grow_stems(species, 1, &Job::default()).expect("not cancelled") {
                 let mut length = 0.0;
                 for pair in stem.nodes.windows(2) {
                     length += pair[0].position.distance(pair[1].position);
@@ -587,7 +596,8 @@ mod tests {
     fn more_twigs_leave_the_limbs_as_they_are() {
         for species in trees() {
             let limbs = |density| {
-                let mut stems = grow_at(species, 1, density);
+                let grown = grow_at(species, 1, density, &Job::default());
+                let mut stems = grown.expect("not cancelled");
                 stems.retain(|stem| stem.level + 1 < species.levels.len());
                 stems.iter().map(|stem| stem.nodes[1].position).collect::<Vec<_>>()
             };

@@ -44,7 +44,7 @@ const WOOD_TOLERANCE: f64 = 0.01;
 const GROVE_WOOD_TOLERANCE: f64 = 0.3;
 
 fn grown(preset: &str, seed: u64, leaf_count: Option<usize>) -> Plant {
-    grow(preset, seed, leaf_count, Lighting::default()).expect("valid arguments")
+    grow(preset, seed, leaf_count, Lighting::default(), &Job::default()).expect("valid arguments")
 }
 
 /// FNV-1a over everything that is grown; light is not.
@@ -100,7 +100,8 @@ fn any_number_of_leaves_is_exact_and_leaves_the_wood_alone() {
             assert!(plant.wood == usual.wood, "{name}: {asked} leaves changed the wood");
             assert!(plant.foliage.areas.iter().all(|&area| area > 0.0), "{name} {asked}");
         }
-        let few = grow(name, 3, Some(fixed), Lighting::default()).expect_err("no leaf of its own");
+        let few = grow(name, 3, Some(fixed), Lighting::default(), &Job::default());
+        let few = few.expect_err("no leaf of its own");
         let range = format!("leaf_count must be in [{}, 5000000], got {fixed}", fixed + 1);
         assert_eq!(few.to_string(), range, "{name}");
     }
@@ -166,7 +167,7 @@ const FROZEN: [(&str, u64); 8] = [
 #[test]
 fn arguments_are_checked_before_anything_is_allocated() {
     let message = |preset, leaf_count| {
-        let grown = grow(preset, 1, leaf_count, Lighting::default());
+        let grown = grow(preset, 1, leaf_count, Lighting::default(), &Job::default());
         grown.expect_err("out of range").to_string()
     };
     let expected = r#"preset: there is no "oak"; there are chestnut, broadleaf, grove, pine, palm, sunflower, daisy, grass"#;
@@ -176,7 +177,28 @@ fn arguments_are_checked_before_anything_is_allocated() {
     let expected = format!("leaf_count must be in [1, 5000000], got {}", usize::MAX);
     assert_eq!(message("chestnut", Some(usize::MAX)), expected, "too many leaves");
     let dark = Lighting { translucency: 2.0, ..Lighting::default() };
-    assert!(grow("chestnut", 1, None, dark).is_err(), "translucency above 1");
+    assert!(grow("chestnut", 1, None, dark, &Job::default()).is_err(), "translucency above 1");
+}
+
+#[test]
+fn a_cancelled_job_grows_nothing() {
+    let job = Job::default();
+    job.cancel();
+    for preset in preset_names() {
+        let grown = grow(preset, 1, None, Lighting::default(), &job);
+        assert_eq!(grown.err(), Some(LodError::Cancelled), "{preset}");
+    }
+}
+
+#[test]
+fn progress_counts_leaves() {
+    for preset in PRESETS {
+        let job = Job::default();
+        let (count, fixed) = preset.leaf_counts();
+        grow(preset.name(), 1, None, Lighting::default(), &job).expect("not cancelled");
+        let steps = (count - fixed) as u64;
+        assert_eq!(job.progress(), (steps, steps), "{}", preset.name());
+    }
 }
 
 /// Edges that only one triangle has, out of some triangles.

@@ -6,6 +6,8 @@
 
 use glam::DVec3;
 
+use crate::error::LodError;
+use crate::job::Job;
 use crate::plant::Mesh;
 use crate::plant::grow::blade::Elements;
 use crate::plant::grow::params::{Species, Twigs};
@@ -57,12 +59,16 @@ pub(super) fn thin_out(species: &Species, stems: &mut Vec<Stem>, count: usize) {
 }
 
 /// The twigs of a plant and its leaves, stem by stem.
+///
+/// # Errors
+/// [`LodError::Cancelled`].
 pub(super) fn with_leaves(
     species: &Species,
     stems: &[Stem],
     leaves: &Mesh,
     owners: &[u32],
-) -> Elements {
+    job: &Job,
+) -> Result<Elements, LodError> {
     let mut twigs = Elements::new();
     let wanted = match species.twigs {
         Twigs::Wood => 0,
@@ -76,11 +82,12 @@ pub(super) fn with_leaves(
             spared = spared.saturating_sub(1);
         }
         while owners.get(next_leaf) == Some(&id) {
+            job.check()?;
             twigs.copy(id, &species.leaves.blade, leaves, next_leaf);
             next_leaf += 1;
         }
     }
-    twigs
+    Ok(twigs)
 }
 
 fn add_twig(out: &mut Elements, id: u32, species: &Species, stem: &Stem, spare: bool) {

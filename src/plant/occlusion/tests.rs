@@ -32,7 +32,7 @@ fn squares(centers: &[Vec3], half: f32) -> Foliage {
     let triangles =
         (0..count).flat_map(|i| [[4 * i, 4 * i + 1, 4 * i + 2], [4 * i, 4 * i + 2, 4 * i + 3]]);
     let offsets = (0..=count).map(|leaf| 2 * leaf).collect();
-    Foliage::new(mesh(positions, triangles.collect()), offsets).expect("valid")
+    Foliage::new(mesh(positions, triangles.collect()), offsets, &Job::default()).expect("valid")
 }
 
 fn opaque() -> Vec<Material> {
@@ -171,7 +171,7 @@ fn small_leaves_far_apart_see_everything() {
 #[test]
 fn a_plant_without_a_size_sees_everything() {
     let point = mesh(vec![Vec3::ONE; 3], vec![[0, 1, 2]]);
-    let foliage = Foliage::new(point, vec![0, 1]).expect("valid");
+    let foliage = Foliage::new(point, vec![0, 1], &Job::default()).expect("valid");
     assert_eq!(leaves_see(&foliage), [Seen::ALL; 3], "one point");
     let tiny = squares(&[Vec3::ZERO, Vec3::splat(1e-30)], 1e-31);
     assert!(leaves_see(&tiny).iter().all(|seen| seen.front[0].is_finite()), "10^-30 m");
@@ -198,7 +198,7 @@ fn cloud(count: u32) -> Foliage {
         }
     }
     let triangles = (0..count).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
-    Foliage::new(mesh(positions, triangles), (0..=count).collect()).expect("valid")
+    Foliage::new(mesh(positions, triangles), (0..=count).collect(), &Job::default()).expect("valid")
 }
 
 /// Mean difference allowed between the cloud and rays against its triangles. A cube and its
