@@ -128,6 +128,13 @@ def test_aims_are_met_against_a_peers_best_time_only():
     assert [row.peer[-9:] for row in rows] == ["threads=1"] * 5 + ["threads=2"] + ["threads=1"] * 2
 
 
+def test_a_folder_that_is_not_there_is_refused_before_anything_is_measured(tmp_path):
+    file = tmp_path / "missing" / "rows.jsonl"
+    done = CliRunner().invoke(app, ["bench", "raster", "--output", str(file)])
+    assert done.exit_code == 2
+    assert "there is no folder" in done.stderr
+
+
 def test_unknown_groups_are_refused():
     done = CliRunner().invoke(app, ["bench", "nothing"])
     assert done.exit_code == 2

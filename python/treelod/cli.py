@@ -320,6 +320,9 @@ def bench(
 
     Close other programs first. Each row is a line of JSON; a table goes to the error stream.
     """
+    if output is not None and not output.absolute().parent.is_dir():
+        msg = f"there is no folder {output.absolute().parent}"
+        raise typer.BadParameter(msg, param_hint="--output")
     if group not in GROUPS:
         msg = f"there is no group {group!r}; there are {', '.join(GROUPS)}"
         raise typer.BadParameter(msg, param_hint="GROUP")
@@ -360,7 +363,7 @@ def validate(
     Check pictures and bakes of a plant against mitsuba, embree and trimesh.
 
     The report is OUTPUT/validation.html; exit code 1 if a check fails.
-    Needs pip install 'treelod[validate]'.
+    Needs mitsuba and embree: pip install 'treelod\\[validate]'.
     """
     with reported(verbose=verbose), Stages() as stages:
         from treelod import references
