@@ -359,11 +359,11 @@ def validate(
     ] = False,
     verbose: Verbose = False,
 ) -> None:
-    """
+    r"""
     Check pictures and bakes of a plant against mitsuba, embree and trimesh.
 
     The report is OUTPUT/validation.html; exit code 1 if a check fails.
-    Needs mitsuba and embree: pip install 'treelod\\[validate]'.
+    Needs mitsuba and embree: pip install 'treelod\[validate]'.
     """
     with reported(verbose=verbose), Stages() as stages:
         from treelod import references
