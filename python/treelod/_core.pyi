@@ -22,6 +22,7 @@ __all__ = [
     "smooth_normals",
     "sphere_directions",
     "split_plant",
+    "time_naive",
 ]
 
 _F32 = NDArray[np.float32]
