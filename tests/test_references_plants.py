@@ -94,7 +94,7 @@ def test_a_plant_is_as_the_references_draw_it(load, name):
     found = references.validate(load(name), extent=SMALL)
     assert failures(found.sections) == []
     assert found.left_out == []
-    assert len([check for section in found.sections for check in section.checks]) == 18
+    assert len([check for section in found.sections for check in section.checks]) == 20
 
 
 @pytest.mark.slow
@@ -194,6 +194,49 @@ def test_a_wrong_measure_of_one_leaf_is_found(measure, name):
     plant.__dict__["foliage"] = dataclasses.replace(plant.foliage, **{measure: values})
     (failure,) = failures([geometry.geometry_section(plant)])
     assert failure.startswith(name)
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        # wider on both sides of its middle by a millionth: every vertex stays inside
+        (lambda own: own.mean(axis=0) + (own - own.mean(axis=0)) * 1.000001, "area difference"),
+        # moved along its plane by a hundredth of its side: as large as before
+        (lambda own: own + 0.01 * (own[1] - own[0]), "overhang"),
+    ],
+)
+def test_a_wrong_rectangle_of_one_leaf_is_found(change, name):
+    plant = random_crown(30)
+    assert not failures(geometry_rectangles(plant))
+    corners = plant.foliage.rectangles.copy()
+    corners[17] = change(corners[17])
+    plant.foliage.__dict__["rectangles"] = corners
+    (failure,) = failures(geometry_rectangles(plant))
+    assert name in failure
+
+
+def geometry_rectangles(plant):
+    return [SimpleNamespace(checks=geometry.rectangles(plant))]
+
+
+@pytest.mark.parametrize(
+    ("axes", "count"),
+    [
+        ([((1, 2, 3), (4, 8, 12))], 1),  # a line
+        ([((0, 0, 0), (0, 0, 0))], 1),  # a point
+        ([((1, 0, 0), (0, 1e-3, 0)), ((1, 0, 0), (0, 1e-9, 0))], 1),  # narrow, and all but a line
+    ],
+)
+def test_leaves_that_are_lines_have_rectangles_without_height(axes, count):
+    plant = crown([((0, 0, k), *own) for k, own in enumerate(axes)])
+    area, overhang = geometry.rectangles(plant)
+    assert area.passed
+    assert overhang.passed
+    assert area.note.startswith(f"{count} leaves are lines")
+    plant.foliage.__dict__["rectangles"] = plant.foliage.rectangles + [0.0, 0.1, 0.0] * np.array(
+        [[0.0], [0.0], [1.0], [1.0]]
+    )
+    assert not all(check.passed for check in geometry.rectangles(plant))
 
 
 def test_leaves_that_touch_are_one_component():

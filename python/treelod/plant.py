@@ -175,6 +175,22 @@ class Foliage:
     centers: NDArray[np.float32]
     normals: NDArray[np.float32]
     areas: NDArray[np.float32]
+    _core: "_core.Plant" = field(repr=False)
+
+    @cached_property
+    def rectangles(self) -> NDArray[np.float64]:
+        """
+        Corners of the rectangle of least area around each leaf, shape (L, 4, 3), float64.
+
+        Metres relative to `Plant.origin`; counter-clockwise as seen by whom the leaf's normal
+        points to, the first side a longer one. A leaf's vertices are projected onto the plane
+        through its centre and across its normal. Without a normal, its plane is spanned by the
+        directions in which its vertices spread, and the order may be either. A leaf on a line has
+        a rectangle without height, one in a point four equal corners.
+
+        Computed when first asked for: 4 s of processor time for a million leaves of ten triangles.
+        """
+        return _frozen(self._core.leaf_rectangles())
 
     @property
     def leaf_count(self) -> int:
@@ -407,6 +423,7 @@ class Plant:
             centers=_frozen(centers),
             normals=_frozen(normals),
             areas=_frozen(areas),
+            _core=self._core,
         )
 
     @cached_property

@@ -2,12 +2,14 @@
 
 pub mod foliage;
 pub mod grow;
+pub mod leaf_rectangle;
 pub mod lighting;
 pub mod mesh;
 pub mod normals;
 pub mod occlusion;
 #[expect(clippy::module_inception, reason = "the file is named for the type it holds")]
 pub mod plant;
+pub mod rectangle;
 pub mod split;
 pub mod structure;
 pub mod weld;

@@ -14,6 +14,7 @@ use pyo3::types::PyDict;
 use super::arrays::{matrix, rows, slice};
 use super::run::run;
 use crate::error::{LodError, check_finite};
+use crate::plant::leaf_rectangle::leaf_rectangles;
 use crate::plant::split::{Tally, split};
 use crate::plant::{self as core, AlphaMode, Lighting, Material, Mesh, normals};
 use crate::texture::{Filter, Image, Sampler, Texture, Wrap};
@@ -258,6 +259,15 @@ impl Plant {
             matrix::<f32, Vec3>(py, &foliage.normals)?,
             foliage.areas.to_pyarray(py),
         ))
+    }
+
+    /// Corners of the leaves' smallest rectangles, of shape (L, 4, 3).
+    fn leaf_rectangles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let corners = run(py, None, None, |job| {
+            let rectangles = leaf_rectangles(&self.inner.foliage, job)?;
+            job.collect(rectangles.len(), |leaf| rectangles[leaf].corners())
+        })?;
+        matrix::<f64, [DVec3; 4]>(py, &corners)?.reshape([corners.len(), 4, 3])
     }
 }
 

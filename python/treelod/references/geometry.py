@@ -1,4 +1,4 @@
-"""Leaves measured by trimesh: areas, centres, normals, connected components and bounds."""
+"""Leaves measured by trimesh: areas, centres, normals, rectangles, components and bounds."""
 
 from __future__ import annotations
 
@@ -22,6 +22,18 @@ Largest difference of what is stored in f32, as a share of the largest area, the
 rounding makes 6e-8, and sums run in another order.
 """
 
+MAX_AREA_ERROR = 1e-9
+"""
+Largest difference of a rectangle's area, as a share of trimesh's. Both are f64, but project onto
+axes of their own: a leaf a thousandth as wide as long then differs by 1e-13.
+"""
+
+FLAT = 1e-6
+"""
+Height of a rectangle, as a share of its length, below which a leaf counts as a line: trimesh's hull
+wants more, and its vertices are f32.
+"""
+
 
 def geometry_section(plant: Plant) -> Section:
     """
@@ -39,6 +51,7 @@ def geometry_section(plant: Plant) -> Section:
     checks = [_bounds(plant)]
     if plant.foliage.leaf_count:
         checks += _leaves(plant)
+        checks += rectangles(plant)
         checks.append(_components(plant))
     return Section(
         title="Geometry",
@@ -94,6 +107,77 @@ def _normal_errors(
         tied = (sizes >= sizes[largest] * (1.0 - 1e-9)).sum() > 1
         errors[leaf] = (min(chords) if tied else chords[0]) * length / sizes.sum()
     return errors
+
+
+def rectangles(plant: Plant) -> list[Check]:
+    """
+    Compare the leaves' smallest rectangles with trimesh's.
+
+    Parameters
+    ----------
+    plant : Plant
+        With leaves.
+
+    Returns
+    -------
+    list of Check
+        Largest differences of area, and how far a vertex lies outside its leaf's rectangle.
+    """
+    foliage = plant.foliage
+    corners = foliage.positions[foliage.triangles].astype(np.float64)
+    offsets = foliage.leaf_offsets.astype(np.int64)
+    area_errors, overhangs = [0.0], [0.0]
+    line_count = 0
+    for leaf, (start, end) in enumerate(itertools.pairwise(offsets)):
+        vertices = corners[start:end].reshape(-1, 3)
+        ours = foliage.rectangles[leaf]
+        sides = ours[[1, 3]] - ours[0]
+        lengths = np.linalg.norm(sides, axis=1)
+        # along each side that has a length, no vertex lies before its start or behind its end
+        for side, length in zip(sides, lengths, strict=True):
+            if length > 0.0:
+                places = (vertices - ours[0]) @ (side / length)
+                overhangs.append(float(max(-places.min(), places.max() - length)))
+        theirs = _trimesh_area(vertices, foliage.normals[leaf].astype(np.float64))
+        if theirs is None:
+            line_count += 1
+            # tight on it: no height, and no longer than twice what lies on one side of a vertex
+            reach = np.linalg.norm(vertices - vertices[0], axis=1).max()
+            overhangs.append(float(max(lengths[1] - FLAT * lengths[0], lengths[0] - 2.0 * reach)))
+        else:
+            area_errors.append(abs(float(lengths.prod()) / theirs - 1.0))
+    return [
+        Check(
+            name="minimum-area rectangles: largest relative area difference",
+            value=float(np.max(area_errors)),
+            relation="<=",
+            limit=MAX_AREA_ERROR,
+            note=f"{line_count} leaves are lines or points, which have none" if line_count else "",
+        ),
+        Check(
+            name="minimum-area rectangles: largest overhang of a vertex",
+            value=float(np.max(overhangs)) / _size(plant),
+            relation="<=",
+            limit=ROUNDING,
+        ),
+    ]
+
+
+def _trimesh_area(vertices: NDArray[np.float64], normal: NDArray[np.float64]) -> float | None:
+    """Area of the smallest rectangle in the plane across `normal`; None for a line or a point."""
+    around = vertices - vertices.mean(axis=0)
+    size = float(np.abs(around).max())
+    if size == 0.0 or not normal.any():
+        return None
+    # of size 1, because trimesh leaves out edges below 1e-10
+    to_plane = trimesh.geometry.plane_transform(  # type: ignore[no-untyped-call]
+        np.zeros(3), normal / np.linalg.norm(normal)
+    )
+    points = (around / size) @ to_plane[:2, :3].T
+    if np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] < FLAT:
+        return None
+    sides = trimesh.bounds.oriented_bounds_2D(points)[1]  # type: ignore[no-untyped-call]
+    return float(np.prod(sides)) * size * size
 
 
 def _components(plant: Plant) -> Check:
