@@ -317,11 +317,12 @@ mod tests {
 
     #[test]
     fn rounding_breaks_no_tie() {
-        // a square turned any way: its four edges tie, and each rectangle's sides do
+        // a square turned any way: its four edges tie, and each rectangle's sides do; off the
+        // middle, where its corners round each in its own way
         for step in 0..100 {
             let turn = DVec2::from_angle(f64::from(step) * 0.1);
             let square: Vec<DVec2> = [[3.0, 3.0], [-3.0, 3.0], [-3.0, -3.0], [3.0, -3.0]]
-                .map(|row| turn.rotate(row.into()))
+                .map(|row| turn.rotate(row.into()) + DVec2::new(0.1, 0.7))
                 .to_vec();
             let hull = convex_hull(&square);
             let edge = square[hull[1] as usize] - square[hull[0] as usize];
