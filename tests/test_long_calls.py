@@ -1,15 +1,21 @@
 """Calls that take long: stopped by Ctrl-C, made by two threads at once, or made in a child."""
 
+import contextlib
 import hashlib
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import textwrap
+import time
+from pathlib import Path
 
 import pytest
 
 import treelod as tl
+from made_plants import random_crown
+from treelod.export import plant_glb
 
 STOP_SECS = 1.0
 """From Ctrl-C to the exception."""
@@ -84,6 +90,73 @@ def test_ctrl_c_ends_it_within_a_second(name):
     assert secs != "finished", "too short a call to be interrupted"
     assert float(secs) < STOP_SECS
     assert works_again == "True"
+
+
+COMMAND_STOP_SECS = 1.5
+"""From Ctrl-C to the end of a command: the call, its children and the interpreter's end."""
+
+
+@pytest.mark.parametrize("to_group", [False, True], ids=["the parent alone", "as a terminal does"])
+def test_ctrl_c_ends_a_validation_with_its_children(tmp_path, to_group):
+    pytest.importorskip("mitsuba")
+    out, temporary, cache = (tmp_path / name for name in ("out", "tmp", "cache"))
+    temporary.mkdir()
+    file = tmp_path / "crown.glb"
+    file.write_bytes(plant_glb(random_crown(60)))
+    command = [sys.executable, "-m", "treelod", "validate", str(file), "-o", str(out), "--full"]
+    env = {**os.environ, "TREELOD_CACHE": str(cache), "TMPDIR": str(temporary)}
+    with (tmp_path / "said").open("w+") as said:
+        parent = subprocess.Popen(
+            command, env=env, stdout=said, stderr=said, start_new_session=True
+        )
+        try:
+            # lit colour, which takes a minute: two children at work, and the rays are kept
+            assert soon(
+                lambda: any(cache.rglob("rays-*.npz")) and len(running_children(parent.pid)) >= 1,
+                secs=120,
+            )
+            time.sleep(1.0)
+            children = running_children(parent.pid)
+            assert children
+            start = time.monotonic()
+            (os.killpg if to_group else os.kill)(parent.pid, signal.SIGINT)
+            parent.wait(timeout=30)
+            secs = time.monotonic() - start
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(parent.pid, signal.SIGKILL)
+            parent.wait()
+        said.seek(0)
+        text = said.read()
+    assert parent.returncode not in (0, -signal.SIGKILL), text
+    assert secs < COMMAND_STOP_SECS
+    assert "Traceback" not in text
+    assert not any(Path(f"/proc/{child}").exists() for child in children)
+    assert not out.exists() or not any(out.rglob("*"))
+    assert not any(temporary.iterdir())
+    assert not any(cache.rglob("*.tmp"))
+
+
+def running_children(process_id):
+    """Processes of references that a process has started."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            parent = path.read_text().rpartition(")")[2].split()[1]
+            if int(parent) == process_id and b"references.child" in (
+                path.with_name("cmdline").read_bytes()
+            ):
+                found.append(int(path.parent.name))
+    return found
+
+
+def soon(holds, secs):
+    deadline = time.monotonic() + secs
+    while not holds():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.05)
+    return True
 
 
 # --- threads -------------------------------------------------------------------------------------

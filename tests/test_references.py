@@ -3,7 +3,10 @@
 import json
 import os
 import shutil
+import subprocess
+import sys
 import textwrap
+import time
 from dataclasses import asdict
 from pathlib import Path
 
@@ -18,7 +21,13 @@ from treelod.references.checks import Check
 from treelod.references.slices import Crown
 from treelod.references.soup import foliage_soup, geometry_only, plant_soup
 from treelod.references.texels import bilinear, bilinear_alpha, wrapped
-from treelod.references.views import camera_settings, check_cameras, pixel_rays, sample_positions
+from treelod.references.views import (
+    bands,
+    camera_settings,
+    check_cameras,
+    pixel_rays,
+    sample_positions,
+)
 from treelod.references.visibility import seen_triangles
 from treelod.report.validation import write_validation
 
@@ -62,6 +71,12 @@ def test_cameras_fill_the_picture():
         assert (high <= np.array(camera.size) + 1e-9).all()
         reach = np.maximum(high / camera.size, 1 - low / camera.size)
         assert reach.max() == pytest.approx(1.0), "one side touches the edge"
+
+
+def test_bands_hold_every_row_once():
+    assert bands((64, 64), 256, 1 << 20) == [(0, 64)]
+    assert bands((10, 7), 3, 100) == [(0, 2), (2, 4), (4, 7)]
+    assert bands((10, 3), 1000, 1) == [(0, 1), (1, 2), (2, 3)], "no band is without a row"
 
 
 # The f64 twin
@@ -200,7 +215,7 @@ def test_texels_are_mixed_by_hand():
 def test_fine_alpha_is_what_filtering_gives():
     rng = np.random.default_rng(3)
     texture = rng.integers(0, 256, (5, 7, 4), dtype=np.uint8)
-    fine = bilinear_alpha(texture, ("repeat", "repeat"), 4)
+    fine = bilinear_alpha(texture[..., 3], ("repeat", "repeat"), 4)
     rows, columns = np.indices(fine.shape)
     uvs = np.stack([(columns.ravel() + 0.5) / 28, (rows.ravel() + 0.5) / 20], axis=1)
     read = bilinear(texture[..., 3:] / 255, uvs, ("repeat", "repeat"))
@@ -325,6 +340,82 @@ def test_a_reference_that_hangs_is_ended(job):
     job("time.sleep(60)")
     with pytest.raises(runner.ReferenceFailedError, match="took more than 2 s"):
         ask(timeout_secs=2.0)
+
+
+def test_calls_in_parallel_come_back_in_order(job):
+    job("pass")
+    told = []
+    calls = [lambda x=x: float(ask(x)["twice"][0]) for x in (1.0, 2.0, 3.0)]
+    assert runner.in_parallel(calls, lambda *steps: told.append(steps)) == [2.0, 4.0, 6.0]
+    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    assert runner.in_parallel([]) == []
+
+
+def test_a_call_that_fails_ends_the_others(job):
+    job("time.sleep(60)")
+
+    def fail():
+        time.sleep(0.5)
+        msg = "no"
+        raise RuntimeError(msg)
+
+    start = time.monotonic()
+    with pytest.raises(RuntimeError, match="no"):
+        runner.in_parallel([fail, lambda: ask(2.0), lambda: ask(3.0)])
+    assert time.monotonic() - start < 5.0
+
+
+def test_a_run_that_was_stopped_goes_on_where_it_stopped(job, tmp_path):
+    job("pass")
+    calls = [lambda x=x: int(ask(x)["calls"]) for x in (1.0, 2.0, 3.0, 4.0)]
+
+    def stop(done, _):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        runner.in_parallel(calls, stop)
+    kept = len(list((tmp_path / "cache" / "references").iterdir()))
+    assert kept >= 2
+    before = int((tmp_path / "count").read_text())
+    assert len(runner.in_parallel(calls)) == 4
+    assert int((tmp_path / "count").read_text()) - before <= 4 - kept
+
+
+def test_a_child_ends_with_its_parent(job, tmp_path):
+    # the parent is killed and can end nothing; the child notes its id and sleeps
+    job("pathlib.Path(settings['note']).write_text(str(os.getpid())); time.sleep(60)")
+    note = tmp_path / "child"
+    code = f"""
+        from treelod.references import runner
+        runner.JOBS["made"] = "made_job"
+        runner.reference("made", {{}}, {{"note": {str(note)!r}}})
+    """
+    parent = subprocess.Popen([sys.executable, "-c", textwrap.dedent(code)])
+    try:
+        assert soon(lambda: note.exists() and note.read_text())
+    finally:
+        parent.kill()
+        parent.wait()
+    assert soon(lambda: not alive(int(note.read_text())))
+
+
+def soon(holds, secs=20.0):
+    deadline = time.monotonic() + secs
+    while not holds():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def alive(process_id):
+    """Whether it runs; one that has ended and waits for its parent does not."""
+    try:
+        state = Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return state != "Z"
 
 
 def test_a_missing_extra_names_the_line_that_installs_it(monkeypatch):

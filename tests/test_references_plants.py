@@ -22,7 +22,8 @@ from treelod.references.validation import QUICK, Extent
 SMALL = Extent(
     rays=(256, 192),
     view=(64, 64),
-    view_spp=128,
+    color_spp=128,
+    alpha_spp=128,
     slices=SliceSettings(side=64, precise_count=1, precise_spp=128, slicing_count=1, spp=64),
 )
 """One view and one slice a plant with many samples; the slicing's other slices with 64."""
@@ -327,7 +328,8 @@ def test_a_wrong_texture_fails_where_mitsuba_finds_nothing(value):
 TINY = Extent(
     rays=(64, 48),
     view=(32, 32),
-    view_spp=64,
+    color_spp=64,
+    alpha_spp=64,
     slices=SliceSettings(side=32, precise_count=1, precise_spp=64, slicing_count=1, spp=64),
 )
 

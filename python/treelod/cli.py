@@ -355,7 +355,7 @@ def validate(
         Path, typer.Option("--output", "-o", help="Folder for the report; made if missing.")
     ],
     full: Annotated[
-        bool, typer.Option("--full", help="Every slice at full size: minutes, not seconds.")
+        bool, typer.Option("--full", help="Everything at full size: minutes, not seconds.")
     ] = False,
     verbose: Verbose = False,
 ) -> None:

@@ -15,7 +15,7 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["PACKAGES", "Provenance", "file_sha256", "provenance"]
+__all__ = ["PACKAGES", "Provenance", "core_count", "file_sha256", "provenance"]
 
 PACKAGES = ("numpy", "openimageio", "scikit-image", "trimesh", "pandas", "matplotlib")
 """Distributions besides treelod whose versions can change a number or a plot."""
@@ -72,9 +72,22 @@ def provenance() -> Provenance:
         python=platform.python_version(),
         platform=f"{platform.system()} {platform.release()} {platform.machine()}",
         cpu=_cpu_name(),
-        core_count=_core_count(),
+        core_count=core_count(),
         date=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     )
+
+
+def core_count() -> int:
+    """
+    Return how many logical processors this process may run on.
+
+    Returns
+    -------
+    int
+    """
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def file_sha256(path: str | os.PathLike[str]) -> str:
@@ -142,9 +155,3 @@ def _cpu_name() -> str:
             if key.strip() in ("model name", "Model"):
                 return value.strip()
     return platform.processor() or platform.machine() or "unknown"
-
-
-def _core_count() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +14,15 @@ from treelod.plants import Lighting, Plant
 from treelod.references import mitsuba
 from treelod.references.checks import Check, Panel, Section, rmse
 from treelod.references.coverage import MANY_SAMPLES
+from treelod.references.runner import in_parallel
 from treelod.references.shading import shade
 from treelod.references.soup import plant_soup
-from treelod.references.views import camera_settings, check_cameras, sample_positions
+from treelod.references.views import (
+    bands,
+    camera_settings,
+    check_cameras,
+    sample_positions,
+)
 from treelod.render import render
 from treelod.techniques import FullMesh
 
@@ -28,6 +35,9 @@ __all__ = ["color_section", "lambert_section"]
 
 MAX_RMSE = 0.01
 """Of linear premultiplied colour: what is left of the noise at some hundred samples a pixel."""
+
+RAYS_A_BAND = 1 << 23
+"""Half a minute of one processor: what a run that is stopped may lose."""
 
 SUN = (0.3, 0.4, 0.866)
 """Towards the sun: so near to the viewer that the leaves' shadows fall between the leaves."""
@@ -48,19 +58,19 @@ def color_section(
     spp : int
         Samples a pixel of mitsuba; rays go through our own sample positions.
     progress : callable
-        Called with views done and all.
+        Called with bands of the picture done and all.
 
     Returns
     -------
     Section
     """
-    progress(0, 1)
     camera = check_cameras(plant, size)["perspective"]
     view = camera_settings(camera, plant.origin)
     soup = plant_soup(plant)
     opaque = all(
         material.texture is None and material.alpha_mode == "opaque" for material in plant.materials
     )
+    calls: list[Callable[[], NDArray[Any]]]
     if opaque:
         picture = {
             "soup": 0,
@@ -70,15 +80,19 @@ def color_section(
             "seed": 1,
             "sampler": "multijitter",
         }
-        theirs: NDArray[Any] = mitsuba.draw([soup], [picture])[0][0]
+        calls = list(mitsuba.banded(soup, picture))
         who = f"mitsuba at {spp}"
     else:
-        theirs = shade(soup, view, sample_positions(MANY_SAMPLES))[..., :3]
+        positions = sample_positions(MANY_SAMPLES)
+        calls = [
+            functools.partial(shade, soup, view, positions, rows=rows)
+            for rows in bands(size, MANY_SAMPLES, RAYS_A_BAND)
+        ]
         who = "embree's hits, coloured in NumPy, at the same samples"
+    theirs = np.concatenate(in_parallel(calls, progress))[..., :3]
     frame = render(FullMesh.build(plant), camera, samples=MANY_SAMPLES, outputs=("color",))
     assert frame.color is not None
     ours = frame.color[..., :3]
-    progress(1, 1)
     return Section(
         title="Lit colour",
         what=f"The full mesh, {size[0]} x {size[1]} pixels, {MANY_SAMPLES} samples, linear, "

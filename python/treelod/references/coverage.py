@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -9,7 +10,9 @@ import numpy as np
 
 from treelod import _core
 from treelod.references import mitsuba
+from treelod.references.cards import SIDE_PARTS
 from treelod.references.checks import Check, Panel, Section, rmse
+from treelod.references.runner import in_parallel
 from treelod.references.slices import Crown, stored_alpha
 from treelod.references.soup import plant_soup
 from treelod.references.views import camera_settings, check_cameras
@@ -101,13 +104,12 @@ def view_section(
     spp : int
         Samples a pixel of mitsuba.
     progress : callable
-        Called with views done and all.
+        Called with bands of the picture done and all.
 
     Returns
     -------
     Section
     """
-    progress(0, 1)
     camera = check_cameras(plant, size)["perspective"]
     picture = {
         "soup": 0,
@@ -116,12 +118,12 @@ def view_section(
         "spp": spp,
         "seed": 1,
         "sampler": "multijitter",
+        "side_parts": SIDE_PARTS,
     }
-    (theirs,), _ = mitsuba.draw([plant_soup(plant)], [picture])
+    theirs = np.concatenate(in_parallel(mitsuba.banded(plant_soup(plant), picture), progress))
     frame = render(FullMesh.build(plant), camera, samples=MANY_SAMPLES, outputs=("color",))
     assert frame.color is not None
     ours = frame.color[..., 3]
-    progress(1, 1)
     return Section(
         title="Coverage of a view",
         what=f"The full mesh, {size[0]} x {size[1]} pixels, {MANY_SAMPLES} samples, against "
@@ -144,7 +146,7 @@ def slices_section(
     settings : SliceSettings
         How much is checked.
     progress : callable
-        Called with slicings done and all.
+        Called with slices done and all.
 
     Returns
     -------
@@ -152,38 +154,45 @@ def slices_section(
     """
     side = settings.side
     lod = _build(plant, side, SLICE_COUNT, BAKE_SAMPLES)
-    directions = np.array(_core.circle_directions(SLICING_COUNT))
+    directions = np.array(_core.circle_directions(SLICING_COUNT))[: settings.slicing_count]
+    crowns = [Crown.of(plant, direction, SLICE_COUNT) for direction in directions]
+    # the middle first: it holds most leaves
+    order = sorted(range(SLICE_COUNT), key=lambda number: abs(number - SLICE_COUNT // 2))
+    places = [(slicing, number) for slicing in range(len(crowns)) for number in order]
+    precise = [(0, number) for number in order[: settings.precise_count]]
+
+    def draw(place: tuple[int, int]) -> list[NDArray[np.float32]]:
+        crown = crowns[place[0]]
+        picture = {
+            "soup": 0,
+            "view": crown.view(side),
+            "quantity": "alpha",
+            "side_parts": SIDE_PARTS,
+        }
+        kinds = [{"spp": settings.spp, "sampler": "independent", "seed": 1}]
+        if place in precise:
+            many = {"spp": settings.precise_spp, "sampler": "multijitter", "seed": 1}
+            few = {"spp": BAKE_SAMPLES, "sampler": "independent", "seed": 2}
+            kinds = [many, few]
+        # one process a slice, so that each is kept as soon as it is drawn
+        pictures = [{**picture, **kind} for kind in kinds]
+        return mitsuba.draw([crown.slices[place[1]]], pictures, threads=1)[0]
+
+    drawn = in_parallel([functools.partial(draw, place) for place in places], progress)
     checks: list[Check] = []
     panels: list[Panel] = []
     deviations: list[float] = []
-    corners: list[float] = []
-    for slicing in range(settings.slicing_count):
-        progress(slicing, settings.slicing_count)
-        crown = Crown.of(plant, directions[slicing], SLICE_COUNT)
-        ours = stored_alpha(lod, slicing, SLICE_COUNT, side)
-        corners.append(_corner_error(plant, lod, slicing, crown))
-        # the middle first: it holds most leaves
-        order = sorted(range(SLICE_COUNT), key=lambda number: abs(number - SLICE_COUNT // 2))
-        precise = order[: settings.precise_count] if slicing == 0 else []
-        pictures = []
-        for number in order:
-            picture = {"soup": number, "view": crown.view(side), "quantity": "alpha", "seed": 1}
-            if number in precise:
-                many = {"spp": settings.precise_spp, "sampler": "multijitter"}
-                few = {"spp": BAKE_SAMPLES, "sampler": "independent", "seed": 2}
-                pictures += [{**picture, **many}, {**picture, **few}]
-            else:
-                pictures.append({**picture, "spp": settings.spp, "sampler": "independent"})
-        drawn = iter(mitsuba.draw(crown.slices, pictures)[0])
-        for number in order:
-            theirs = next(drawn)
-            if number in precise:
-                found = _precise(number, ours[number], theirs, next(drawn))
-                checks += found
-                panels.append(_panel(f"alpha of slice {number}", ours[number], theirs))
-            else:
-                deviations.append(largest_z(ours[number], theirs, settings.spp))
-    progress(settings.slicing_count, settings.slicing_count)
+    stored = [
+        stored_alpha(lod, slicing, SLICE_COUNT, side) for slicing in range(settings.slicing_count)
+    ]
+    for (slicing, number), theirs in zip(places, drawn, strict=True):
+        ours = stored[slicing][number]
+        if (slicing, number) in precise:
+            checks += _precise(number, ours, *theirs)
+            panels.append(_panel(f"alpha of slice {number}", ours, theirs[0]))
+        else:
+            deviations.append(largest_z(ours, theirs[0], settings.spp))
+    corners = [_corner_error(plant, lod, slicing, crown) for slicing, crown in enumerate(crowns)]
     if deviations:
         checks.append(
             Check(

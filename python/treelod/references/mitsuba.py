@@ -13,23 +13,26 @@ plants without cut-outs, from the albedo of two-sided diffuse surfaces that bear
 
 from __future__ import annotations
 
+import functools
 import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from treelod.color import quantize
+from treelod.references.cards import parted
 from treelod.references.runner import reference
 from treelod.references.texels import bilinear_alpha
+from treelod.references.views import bands
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from treelod.references.soup import Soup
 
-__all__ = ["Picture", "can_be_masked", "draw", "run"]
+__all__ = ["Picture", "banded", "can_be_masked", "draw", "run"]
 
 _SIZE = 1000.0
 """Diagonal of a scene as mitsuba sees it: so large that the 1 in its step does not count."""
@@ -45,13 +48,17 @@ Cells a texel, at most: mitsuba reads the nearest cell, so bilinear alpha is com
 cutoff on a grid finer than the texture.
 """
 
+_SAMPLES_A_BAND = 1 << 24
+"""Some ten seconds of one processor: what a run that is stopped may lose."""
 
 Picture = dict[str, Any]
 """
 One picture to draw: ``soup`` (which of those given), ``view`` (from
 `treelod.references.views.camera_settings`), ``spp``, ``seed``, ``sampler`` ('independent' or
 'multijitter') and ``quantity``: 'alpha'; 'color', that of the soup as it is; or 'sunlit', the
-soup's colours as diffuse surfaces under a sun of irradiance pi in direction ``sun``.
+soup's colours as diffuse surfaces under a sun of irradiance pi in direction ``sun``. If wanted also
+``rows``, the first row and the one after the last, and ``side_parts``, into which sides of cut-out
+triangles are parted for coverage (`treelod.references.cards`).
 """
 
 
@@ -105,7 +112,7 @@ def draw(
     Returns
     -------
     pictures : list of ndarray of shape (H, W) or (H, W, 3), dtype float32
-        Alpha, or premultiplied linear colour.
+        Alpha, or premultiplied linear colour; of the rows that are stated.
     secs : ndarray of shape (P,)
         Seconds that rendering each took, without loading its scene.
 
@@ -119,23 +126,31 @@ def draw(
     """
     arrays: dict[str, NDArray[Any]] = {}
     center, scale = _placing(soups)
-    for index, soup in enumerate(soups):
+    facts: list[dict[str, Any]] = [
+        {
+            "wrap": list(material.wrap),
+            "alpha_mode": material.alpha_mode,
+            "alpha_cutoff": material.alpha_cutoff,
+        }
+        for material in soups[0].materials
+    ]
+    for number, soup in enumerate(soups):
         if not can_be_masked(soup):
             msg = "mitsuba takes one opacity and one kind of wrap a material"
             raise ValueError(msg)
         used = np.unique(soup.material_ids)
         placed = (soup.corners - center) * scale
-        arrays[f"corners_{index}"] = placed.astype(np.float32)
-        arrays[f"uvs_{index}"] = soup.uvs.astype(np.float32)
-        arrays[f"material_ids_{index}"] = soup.material_ids
-        if any(p["quantity"] != "alpha" and p["soup"] == index for p in pictures):
-            arrays[f"front_{index}"] = soup.front.astype(np.float32)
-            arrays[f"back_{index}"] = soup.back.astype(np.float32)
-        for material in used:
-            mask = _mask(soup, int(material))
-            if mask is not None:
-                arrays[f"mask_{material}"] = mask
-    facts = [{"wrap": list(material.wrap)} for material in soups[0].materials]
+        arrays[f"corners_{number}"] = placed.astype(np.float32)
+        arrays[f"uvs_{number}"] = soup.uvs.astype(np.float32)
+        arrays[f"material_ids_{number}"] = soup.material_ids
+        if any(p["quantity"] != "alpha" and p["soup"] == number for p in pictures):
+            arrays[f"front_{number}"] = soup.front.astype(np.float32)
+            arrays[f"back_{number}"] = soup.back.astype(np.float32)
+        for index in used:
+            material = soup.materials[index]
+            facts[index]["opacity"] = float(soup.opacity[soup.material_ids == index].flat[0])
+            if material.texture is not None and material.alpha_mode != "opaque":
+                arrays[f"alpha_{index}"] = material.texture[..., 3]
     placed_pictures = [
         {**picture, "view": _placed(picture["view"], center, scale)} for picture in pictures
     ]
@@ -144,6 +159,31 @@ def draw(
         settings["threads"] = threads
     made = reference("mitsuba", arrays, settings, cached=cached)
     return [made[f"picture_{index}"] for index in range(len(pictures))], made["secs"]
+
+
+def banded(soup: Soup, picture: Picture) -> list[Callable[[], NDArray[np.float32]]]:
+    """
+    Part a picture into calls that draw it, for `treelod.references.runner.in_parallel`.
+
+    Parameters
+    ----------
+    soup : Soup
+        What to draw.
+    picture : Picture
+        How; of soup 0.
+
+    Returns
+    -------
+    list of callable
+        Each draws a band of rows, from the top, with one thread: two threads of a scalar variant
+        are often no faster than one, two processes are.
+    """
+
+    def draw_rows(rows: tuple[int, int]) -> NDArray[np.float32]:
+        return draw([soup], [{**picture, "rows": list(rows)}], threads=1)[0][0]
+
+    parts = bands(tuple(picture["view"]["size"]), picture["spp"], _SAMPLES_A_BAND)
+    return [functools.partial(draw_rows, rows) for rows in parts]
 
 
 def _placing(soups: Sequence[Soup]) -> tuple[NDArray[np.float64], float]:
@@ -174,23 +214,21 @@ def _placed(view: dict[str, Any], center: NDArray[np.float64], scale: float) -> 
     }
 
 
-def _mask(soup: Soup, index: int) -> NDArray[np.uint8] | None:
+def _mask(alpha: NDArray[np.uint8] | None, facts: dict[str, Any]) -> NDArray[np.uint8] | None:
     """Return what mitsuba reads as opacity, in 1/255; None where a material is opaque."""
-    material = soup.materials[index]
-    if material.alpha_mode == "opaque":
+    if facts["alpha_mode"] == "opaque":
         return None
-    factor = soup.opacity[soup.material_ids == index].flat[0]
-    if material.texture is None:
-        alpha = np.full((1, 1), factor, np.float32)
+    factor = np.float32(facts["opacity"])
+    if alpha is None:
+        opacity = np.full((1, 1), factor, np.float32)
     else:
-        side = max(material.texture.shape[:2])
-        finer = max(min(_MASK_FACTOR, _MASK_SIDE // side), 1)
-        alpha = bilinear_alpha(material.texture, material.wrap, finer) * np.float32(factor)
-    if material.alpha_mode == "mask":
-        alpha = (alpha >= material.alpha_cutoff).astype(np.float32)
-    if (alpha == 1.0).all():
+        finer = max(min(_MASK_FACTOR, _MASK_SIDE // max(alpha.shape)), 1)
+        opacity = bilinear_alpha(alpha, tuple(facts["wrap"]), finer) * factor
+    if facts["alpha_mode"] == "mask":
+        opacity = (opacity >= facts["alpha_cutoff"]).astype(np.float32)
+    if (opacity == 1.0).all():
         return None
-    return quantize(alpha)
+    return quantize(opacity)
 
 
 def run(arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> dict[str, NDArray[Any]]:
@@ -201,7 +239,7 @@ def run(arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> dict[str, 
     ----------
     arrays : dict
         ``corners_I``, ``uvs_I``, ``material_ids_I`` and, for colour, ``front_I`` and ``back_I`` of
-        soup I; ``mask_M`` of materials that are not opaque.
+        soup I; ``alpha_M`` of the texture of materials that are not opaque.
     settings : dict
         ``pictures``, ``materials`` and, if stated, ``threads``.
 
@@ -235,7 +273,8 @@ def run(arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> dict[str, 
             seed=picture["seed"],
         )
         secs.append(time.perf_counter() - start)
-        values = np.array(drawn, np.float32).reshape(height, width, -1)
+        first, after = picture.get("rows", (0, height))
+        values = np.array(drawn, np.float32).reshape(after - first, width, -1)
         result[f"picture_{index}"] = (
             values[..., 3] if picture["quantity"] == "alpha" else values[..., :3]
         )
@@ -266,18 +305,30 @@ def _scene(
         irradiance = {"type": "rgb", "value": [np.pi] * 3}
         travels = [-x for x in picture["sun"]]
         scene["sun"] = {"type": "directional", "direction": travels, "irradiance": irradiance}
-    masks = {int(i): arrays.get(f"mask_{i}") for i in np.unique(material_ids)}
+    masks = {int(i): _mask(arrays.get(f"alpha_{i}"), materials[i]) for i in np.unique(material_ids)}
     clear = np.isin(material_ids, [i for i, mask in masks.items() if mask is not None])
     groups: list[tuple[Any, Any, NDArray[np.bool_]]] = [(None, "repeat", ~clear)]
     for index, mask in masks.items():
         if mask is not None:
             groups.append((mask, materials[index]["wrap"], material_ids == index))
     for index, (mask, wrap, chosen) in enumerate(groups):
-        if chosen.any():
-            bsdf = _bsdf(mask, wrap, colored=colors is not None)
-            uvs = arrays[f"uvs_{soup}"][chosen]
-            own = None if colors is None else colors[chosen]
-            scene[f"mesh_{index}"] = _mesh(mitsuba, corners[chosen], uvs, own, bsdf)
+        if not chosen.any():
+            continue
+        uvs = arrays[f"uvs_{soup}"][chosen]
+        pieces = [(mask, corners[chosen], uvs)]
+        side_parts = picture.get("side_parts", 1)
+        if colors is None and mask is not None and mask.size > 1 and side_parts > 1:
+            parts = parted(corners[chosen], uvs, mask, wrap[0], side_parts)
+            pieces = [
+                (None, parts.corners[parts.opaque], parts.uvs[parts.opaque]),
+                (mask, parts.corners[~parts.opaque], parts.uvs[~parts.opaque]),
+            ]
+        own = None if colors is None else colors[chosen]
+        for number, (opacity, places, own_uvs) in enumerate(pieces):
+            if len(places):
+                bsdf = _bsdf(opacity, wrap, colored=colors is not None)
+                mesh = _mesh(mitsuba, places, own_uvs, own, bsdf)
+                scene[f"mesh_{index}_{number}"] = mesh
     return mitsuba.load_dict(scene)
 
 
@@ -355,6 +406,14 @@ def _sensor(mitsuba: Any, picture: Picture) -> Any:
         "component_format": "float32",
         "rfilter": {"type": "box"},
     }
+    if "rows" in picture:
+        first, after = picture["rows"]
+        film |= {
+            "crop_offset_x": 0,
+            "crop_offset_y": first,
+            "crop_width": width,
+            "crop_height": after - first,
+        }
     sensor: dict[str, Any] = {
         "near_clip": view["near"],
         "far_clip": view["far"],

@@ -1,5 +1,6 @@
 """
-How a reference is run: in a process of its own, with a time limit, once more if it dies, and once.
+How references are run: in processes of their own, with a time limit, once more if one dies, and
+once.
 
 mitsuba has been seen to end with a bus error in one of eleven runs of the same scene, and a plug-in
 that aborts takes its whole process along. Results are kept under the hash of what went in.
@@ -16,21 +17,34 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 import zipfile
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from treelod.errors import TreelodError
 from treelod.files import atomic_write
+from treelod.provenance import core_count
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-__all__ = ["ReferenceFailedError", "cache_folder", "reference", "require"]
+__all__ = [
+    "VERSIONED",
+    "ReferenceFailedError",
+    "cache_folder",
+    "in_parallel",
+    "reference",
+    "require",
+]
+
+T = TypeVar("T")
 
 JOBS = {
     "rays": "treelod.references.rays",
@@ -43,7 +57,7 @@ JOBS = {
 _PACKAGES = {"mitsuba": "mitsuba", "embreex": "embreex"}
 """Distributions of the extra `validate`, by the module that is imported."""
 
-_VERSIONED = ("mitsuba", "embreex", "trimesh", "numpy")
+VERSIONED = ("mitsuba", "embreex", "trimesh", "scipy", "numpy")
 """What a result depends on besides its input and our own code."""
 
 _REFERENCES = Path(__file__).parent
@@ -54,6 +68,15 @@ _ATTEMPTS = 2
 
 _TIMEOUT_SECS = 3600.0
 """A reference that takes longer hangs: the largest takes a quarter of it on two slow cores."""
+
+_POLL_SECS = 0.1
+"""How often a thread that waits for a child looks whether it shall."""
+
+_MAX_WORKERS = 8
+"""Children at once: each may hold a gigabyte."""
+
+_of_thread = threading.local()
+"""``stop``: the event that ends what a thread of `in_parallel` waits for."""
 
 _logger = logging.getLogger(__name__)
 
@@ -150,7 +173,7 @@ def _fingerprint(job: str, arrays: Mapping[str, NDArray[Any]], settings: Mapping
     # an edited reference gives other results, and so does what it imports
     for path in (Path(spec.origin), *sorted(_REFERENCES.glob("*.py")), _COLOR):
         digest.update(hashlib.sha256(path.read_bytes()).digest())
-    versions = {name: importlib.metadata.version(name) for name in _VERSIONED}
+    versions = {name: importlib.metadata.version(name) for name in VERSIONED}
     digest.update(json.dumps([versions, settings], sort_keys=True, allow_nan=False).encode())
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
@@ -186,18 +209,85 @@ def _in_child(
         command += [str(given), str(made), json.dumps(dict(settings), allow_nan=False)]
         why = ""
         for attempt in range(1, _ATTEMPTS + 1):
+            log = Path(folder) / "said.txt"
             try:
-                done = subprocess.run(
-                    command, capture_output=True, text=True, timeout=timeout_secs, check=False
-                )
+                code = _ended(command, log, timeout_secs)
             except subprocess.TimeoutExpired:
                 why = f"took more than {timeout_secs:g} s"
             else:
-                result = _read(made) if done.returncode == 0 else None
+                result = _read(made) if code == 0 else None
                 if result is not None:
                     return result
-                said = done.stderr.strip().splitlines() or ["nothing said"]
-                why = f"ended with code {done.returncode}: {said[-1]}"
+                said = log.read_text(errors="replace").strip().splitlines() or ["nothing said"]
+                why = f"ended with code {code}: {said[-1]}"
             _logger.warning("reference %r, attempt %d of %d: %s", job, attempt, _ATTEMPTS, why)
     msg = f"reference {job!r} failed {_ATTEMPTS} times; at last it {why}"
     raise ReferenceFailedError(msg)
+
+
+class _StoppedError(Exception):
+    """Another call of the same `in_parallel` has failed, or the user has stopped it."""
+
+
+def _ended(command: list[str], log: Path, timeout_secs: float) -> int:
+    """Run a child to its end and return its code; whatever ends the wait ends the child."""
+    stop = getattr(_of_thread, "stop", None)
+    deadline = time.monotonic() + timeout_secs
+    with log.open("wb") as said:
+        child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
+        try:
+            while True:
+                if stop is not None and stop.is_set():
+                    raise _StoppedError
+                try:
+                    return child.wait(timeout=_POLL_SECS)
+                except subprocess.TimeoutExpired:
+                    if time.monotonic() > deadline:
+                        raise
+        finally:
+            if child.poll() is None:
+                child.kill()
+                child.wait()
+
+
+def in_parallel(
+    calls: Sequence[Callable[[], T]], progress: Callable[[int, int], object] | None = None
+) -> list[T]:
+    """
+    Make calls that wait for references, as many at once as there are processors, at most eight.
+
+    Parameters
+    ----------
+    calls : sequence of callable
+        Each calls `reference`.
+    progress : callable, optional
+        Called with calls done and all, first with none; what it raises ends them.
+
+    Returns
+    -------
+    list
+        What the calls return, in their order.
+
+    Raises
+    ------
+    BaseException
+        What the first of them raises, or the progress, or Ctrl-C. The children are then killed.
+    """
+    stop = threading.Event()
+
+    def begin() -> None:
+        _of_thread.stop = stop
+
+    worker_count = max(min(core_count(), _MAX_WORKERS, len(calls)), 1)
+    report = progress or (lambda done, total: None)
+    pool = ThreadPoolExecutor(worker_count, initializer=begin)
+    try:
+        report(0, len(calls))
+        futures = [pool.submit(call) for call in calls]
+        for done, future in enumerate(as_completed(futures), start=1):
+            future.result()
+            report(done, len(calls))
+        return [future.result() for future in futures]
+    finally:
+        stop.set()
+        pool.shutdown(cancel_futures=True)

@@ -39,6 +39,7 @@ def shade(
     view: dict[str, Any],
     positions: NDArray[np.float64],
     *,
+    rows: tuple[int, int] | None = None,
     cached: bool = True,
 ) -> NDArray[np.float64]:
     """
@@ -52,13 +53,15 @@ def shade(
         From `treelod.references.views.camera_settings`.
     positions : ndarray of shape (S, 2)
         Where in each pixel rays go through, in pixels.
+    rows : tuple of 2 ints, optional
+        The first row to draw and the one after the last. Default: all.
     cached : bool, default True
         As in `treelod.references.runner.reference`.
 
     Returns
     -------
     ndarray of shape (H, W, 4)
-        Linear and premultiplied: the mean over the rays.
+        Linear and premultiplied: the mean over the rays. Of `rows` alone, if stated.
 
     Raises
     ------
@@ -85,7 +88,8 @@ def shade(
                 "cutoff": material.alpha_cutoff,
             }
         )
-    return reference("shade", arrays, {"view": view, "materials": facts}, cached=cached)["color"]
+    settings = {"view": view, "materials": facts, "rows": list(rows or (0, view["size"][1]))}
+    return reference("shade", arrays, settings, cached=cached)["color"]
 
 
 def run(arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> dict[str, NDArray[Any]]:
@@ -97,7 +101,7 @@ def run(arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> dict[str, 
     arrays : dict
         The soup's arrays, ``positions``, and ``texture_I`` of the materials that have one.
     settings : dict
-        ``view`` and ``materials``.
+        ``view``, ``materials`` and ``rows``.
 
     Returns
     -------
@@ -111,16 +115,17 @@ def run(arrays: dict[str, NDArray[Any]], settings: dict[str, Any]) -> dict[str, 
         corners.reshape(-1, 3), np.arange(len(corners) * 3).reshape(-1, 3), process=False
     )
     painter = _Painter(arrays, settings["materials"])
-    width, height = view["size"]
-    color = np.zeros((width * height, 4))
+    width = view["size"][0]
+    first, after = (row * width for row in settings["rows"])
+    color = np.zeros((after - first, 4))
     pixels_at_once = max(_RAYS_AT_ONCE // len(positions), 1)
-    for start in range(0, width * height, pixels_at_once):
-        pixels = np.arange(start, min(start + pixels_at_once, width * height))
+    for start in range(first, after, pixels_at_once):
+        pixels = np.arange(start, min(start + pixels_at_once, after))
         points = np.stack([pixels % width, pixels // width], axis=1)[:, np.newaxis] + positions
         rays = pixel_rays(view, points.reshape(-1, 2))
         layers = _through(mesh, painter, *rays)
-        color[pixels] = layers.reshape(len(pixels), len(positions), 4).mean(axis=1)
-    return {"color": color.reshape(height, width, 4)}
+        color[pixels - first] = layers.reshape(len(pixels), len(positions), 4).mean(axis=1)
+    return {"color": color.reshape(-1, width, 4)}
 
 
 def _through(

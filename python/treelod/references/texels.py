@@ -92,15 +92,15 @@ def bilinear(
 
 
 def bilinear_alpha(
-    texture: NDArray[np.uint8], wrap: tuple[str, str], factor: int
+    texel_alpha: NDArray[np.uint8], wrap: tuple[str, str], factor: int
 ) -> NDArray[np.float32]:
     """
     Return a texture's alpha on a grid `factor` times as fine, as filtering makes it.
 
     Parameters
     ----------
-    texture : ndarray of shape (H, W, 4), dtype uint8
-        sRGB with straight alpha.
+    texel_alpha : ndarray of shape (H, W), dtype uint8
+        Alpha in 1/255.
     wrap : pair of str
         For u and v, as `wrapped`.
     factor : int
@@ -111,7 +111,7 @@ def bilinear_alpha(
     ndarray of shape (H * factor, W * factor), dtype float32
         Alpha in the middle of each cell.
     """
-    alpha = (texture[..., 3] / 255.0).astype(np.float32)
+    alpha = (texel_alpha / 255.0).astype(np.float32)
     for axis in (0, 1):
         side = alpha.shape[axis]
         place = (np.arange(side * factor) + 0.5) / factor - 0.5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
     from treelod.plants import Plant
 
-__all__ = ["camera_settings", "check_cameras", "pixel_rays", "sample_positions"]
+__all__ = ["bands", "camera_settings", "check_cameras", "pixel_rays", "sample_positions"]
 
 _AZIMUTH_DEG, _ELEVATION_DEG = 33.0, 12.0
 """From where plants are seen: no axis of a grown or modelled plant."""
@@ -66,6 +67,30 @@ def check_cameras(plant: Plant, size: tuple[int, int]) -> dict[str, Camera]:
         "orthographic": Camera.orthographic(eye, target, height=height, size=size),
         "perspective": Camera.perspective(eye, target, fov_y_deg=fov, size=size),
     }
+
+
+def bands(size: tuple[int, int], samples: int, samples_a_band: int) -> list[tuple[int, int]]:
+    """
+    Part a picture into bands of rows that take about as long each.
+
+    Parameters
+    ----------
+    size : tuple of 2 ints
+        Width and height in pixels.
+    samples : int
+        A pixel.
+    samples_a_band : int
+        At most, but for a last row.
+
+    Returns
+    -------
+    list of tuple of 2 ints
+        The first row of each and the one after its last, from the top.
+    """
+    width, height = size
+    count = min(max(math.ceil(width * height * samples / samples_a_band), 1), height)
+    edges = [height * band // count for band in range(count + 1)]
+    return list(itertools.pairwise(edges))
 
 
 def sample_positions(sample_count: int) -> NDArray[np.float64]:
