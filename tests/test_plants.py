@@ -8,7 +8,7 @@ import pytest
 import treelod as tl
 from made_gltf import Gltf, quad, textured
 from treelod.export import plant_glb
-from treelod.plant_files import gltf
+from treelod.plant_files import gltf_header
 
 # Triangles, leaves, wood triangles and bounds as counted by trimesh 5.2 after welding (2026-11-18);
 # what is a leaf was decided by looking at the plants.
@@ -478,13 +478,30 @@ def test_alpha_decides_by_the_texels_used(tmp_path):
 
 
 def test_extension_lists_are_disjoint():
-    assert not gltf.READ_EXTENSIONS & gltf.HARMLESS_EXTENSIONS
+    assert not gltf_header.READ_EXTENSIONS & gltf_header.HARMLESS_EXTENSIONS
 
 
 # --- the plant itself ----------------------------------------------------------------------------
 
 SQUARE = {"positions": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]],
           "triangles": [[0, 1, 2], [0, 2, 3]]}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"occlusion": "x"}, "occlusion must be a number, got 'x'"),
+        ({"translucency": None}, "translucency must be a number, got None"),
+        ({"sun": 1.0}, "sun must be 3 numbers, got 1.0"),
+        ({"sky": (1, 1)}, r"sky must be 3 numbers, got \(1, 1\)"),
+        ({"ground": "123"}, "ground must be 3 numbers, got '123'"),
+        ({"sun_direction": (0, "1", 0)}, "sun_direction must be 3 numbers"),
+    ],
+)
+def test_light_that_is_no_number_is_refused_at_once(given, message):
+    with pytest.raises(TypeError, match=message):
+        tl.Lighting(**given)
+    tl.Lighting(sun_direction=np.array([0, 1, 0]), occlusion=np.float32(0.5), translucency=1)
 
 
 def test_lit_gives_another_plant():

@@ -8,6 +8,7 @@ read-only: a plant never changes, and everything built from it relies on that.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from numbers import Real
 from typing import Literal, TypeVar, cast
 
 import numpy as np
@@ -68,6 +69,20 @@ class Lighting:
     ground: Vec3 = (0.12, 0.11, 0.09)
     translucency: float = 0.25
     occlusion: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no number; the core refuses numbers out of range."""
+        for name in ("sun_direction", "sun", "sky", "ground"):
+            value = getattr(self, name)
+            parts = [] if isinstance(value, str) else value
+            if not (np.iterable(parts) and [*map(_is_number, parts)] == [True] * 3):
+                msg = f"{name} must be 3 numbers, got {value!r}"
+                raise TypeError(msg)
+        for name in ("translucency", "occlusion"):
+            value = getattr(self, name)
+            if not _is_number(value):
+                msg = f"{name} must be a number, got {value!r}"
+                raise TypeError(msg)
 
     def _facts(self) -> "_core._LightingFacts":
         return cast("_core._LightingFacts", asdict(self))
@@ -552,6 +567,10 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 def _frozen(array: NDArray[Scalar]) -> NDArray[Scalar]:
     array.flags.writeable = False
     return array
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real)
 
 
 def _vec3(values: Sequence[float]) -> Vec3:

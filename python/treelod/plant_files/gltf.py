@@ -11,8 +11,6 @@ Materials, pictures and instances are read here.
 import io
 import itertools
 import json
-import math
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +21,13 @@ from numpy.typing import NDArray
 from treelod.errors import PlantFileError
 from treelod.plant_files import checks, images
 from treelod.plant_files.checks import Json
+from treelod.plant_files.gltf_header import COMPONENTS, Header, chunks
+from treelod.plant_files.gltf_transforms import (
+    local_transform,
+    placed_instances,
+    rotations,
+    transformed_uvs,
+)
 from treelod.plant_files.model import (
     MAX_NODE_COUNT,
     AlphaMode,
@@ -36,42 +41,8 @@ from treelod.plant_files.sources import Source
 
 __all__ = ["read"]
 
-READ_EXTENSIONS = {
-    "EXT_mesh_gpu_instancing",
-    "EXT_texture_webp",
-    "KHR_materials_pbrSpecularGlossiness",
-    "KHR_mesh_quantization",
-    "KHR_texture_transform",
-}
-"""Extensions that are read."""
-
-HARMLESS_EXTENSIONS = {
-    "KHR_lights_punctual",
-    "KHR_materials_anisotropy",
-    "KHR_materials_clearcoat",
-    "KHR_materials_emissive_strength",
-    "KHR_materials_ior",
-    "KHR_materials_iridescence",
-    "KHR_materials_sheen",
-    "KHR_materials_specular",
-    "KHR_materials_unlit",
-    "KHR_materials_variants",
-    "KHR_materials_volume",
-    "KHR_xmp_json_ld",
-    "MSFT_lod",
-}
-"""Extensions that may be required: they change no shape, no base colour and no alpha."""
-
-TRANSMISSION = "KHR_materials_transmission"
-
-MAX_DEPTH = 256
-"""Deepest nesting of nodes."""
-
 WRAPS: dict[int, Wrap] = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
-
-COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 INSTANCE_TYPES = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
 
@@ -80,48 +51,8 @@ TRIANGLES, STRIP, FAN = 4, 5, 6
 
 def read(source: Source) -> Model:
     """Read a ``.glb`` or ``.gltf`` file; which of the two is decided by its first bytes."""
-    header, blob = _chunks(source.read())
+    header, blob = chunks(source.read())
     return _File(source, header, blob).model()
-
-
-def _chunks(data: bytes) -> tuple[Json, bytes | None]:
-    """JSON and binary chunk of a GLB, or the JSON alone."""
-    blob = None
-    text = data
-    if data[:4] == b"glTF":
-        if len(data) < 20:
-            msg = "the GLB ends in its header"
-            raise PlantFileError(msg)
-        version, length, json_length = struct.unpack_from("<III", data, 4)
-        if version != 2:
-            msg = f"GLB version {version}; only version 2 is read"
-            raise PlantFileError(msg)
-        if length > len(data) or 20 + json_length > length or data[16:20] != b"JSON":
-            msg = f"the GLB is cut short or damaged: {len(data)} bytes, it states {length}"
-            raise PlantFileError(msg)
-        text = data[20 : 20 + json_length]
-        rest = data[20 + json_length : length]
-        if len(rest) >= 8:
-            blob_length = struct.unpack_from("<I", rest)[0]
-            if 8 + blob_length > len(rest):
-                msg = f"the GLB's binary chunk is cut short: {len(rest) - 8} of {blob_length} bytes"
-                raise PlantFileError(msg)
-            if rest[4:8] == b"BIN\0":
-                blob = rest[8 : 8 + blob_length]
-    header = json.loads(text, parse_constant=_refuse_constant)
-    if not isinstance(header, dict) or not isinstance(header.get("asset"), dict):
-        msg = "the JSON is no glTF: it has no asset"
-        raise PlantFileError(msg)
-    version = str(header["asset"].get("version"))
-    if version.split(".")[0] != "2":
-        msg = f"glTF version {version}; only version 2 is read"
-        raise PlantFileError(msg)
-    return header, blob
-
-
-def _refuse_constant(name: str) -> float:
-    msg = f"{name} in the JSON is no number"
-    raise PlantFileError(msg)
 
 
 @dataclass(frozen=True)
@@ -138,16 +69,11 @@ class _Primitive:
     label: str
 
 
-class _File:
+class _File(Header):
     """One file while it is being read."""
 
     def __init__(self, source: Source, header: Json, blob: bytes | None) -> None:
-        self.source = source
-        self.header = header
-        self.blob = blob
-        self.warnings: list[str] = []
-        self.lists: dict[str, list[Json]] = {}
-        self.buffers: dict[int, bytes] = {}
+        super().__init__(source, header, blob)
         self.pictures: dict[int, NDArray[np.uint8]] = {}
 
     def model(self) -> Model:
@@ -167,75 +93,7 @@ class _File:
         pieces = self.decode(placed, slot_of)
         return Model(pieces=pieces, materials=facts, warnings=self.warnings)
 
-    # --- the header ---------------------------------------------------------------------------
-
-    def all(self, name: str) -> list[Json]:
-        """One of the header's lists of objects; empty if it is not there."""
-        if name not in self.lists:
-            values = self.header.get(name, [])
-            if not isinstance(values, list) or not all(isinstance(v, dict) for v in values):
-                msg = f"{name} is not a list of objects"
-                raise PlantFileError(msg)
-            self.lists[name] = values
-        return self.lists[name]
-
-    def item(self, name: str, index: object, what: str) -> Json:
-        values = self.all(name)
-        return values[checks.index(index, len(values), f"{what}: {name} index")]
-
-    def check_extensions(self) -> None:
-        required = self.header.get("extensionsRequired", [])
-        if not isinstance(required, list) or not all(isinstance(name, str) for name in required):
-            msg = "extensionsRequired is not a list of names"
-            raise PlantFileError(msg)
-        unknown = set(required) - READ_EXTENSIONS - HARMLESS_EXTENSIONS - {TRANSMISSION}
-        if unknown:
-            names = ", ".join(sorted(unknown))
-            msg = f"it requires {names}, which is not read"
-            raise PlantFileError(msg)
-        used = self.header.get("extensionsUsed", [])
-        if isinstance(used, list) and TRANSMISSION in used:
-            self.warnings.append(f"{TRANSMISSION} is ignored: such surfaces are drawn opaque")
-
-    def nodes(self) -> Iterator[tuple[int, int | None]]:
-        """Every node of the default scene once, with its parent; None for a root."""
-        nodes = self.all("nodes")
-        check_counts(node_count=len(nodes))
-        scenes = self.all("scenes")
-        if scenes:
-            roots = self.item("scenes", self.header.get("scene", 0), "scene").get("nodes", [])
-        else:
-            children = {child for node in nodes for child in _children(node)}
-            roots = [index for index in range(len(nodes)) if index not in children]
-        # a node is seen when it goes on the stack, so that the stack never outgrows the nodes
-        seen: set[int] = set()
-        stack: list[tuple[int, int | None, int]] = []
-        self.push(stack, seen, checks.index_list(roots, "scene"), None, 1)
-        while stack:
-            index, parent, depth = stack.pop()
-            yield index, parent
-            self.push(stack, seen, _children(nodes[index]), index, depth + 1)
-
-    def push(
-        self,
-        stack: list[tuple[int, int | None, int]],
-        seen: set[int],
-        indices: list[int],
-        parent: int | None,
-        depth: int,
-    ) -> None:
-        """Put nodes on the stack, the first on top; none may have been seen."""
-        if indices and depth > MAX_DEPTH:
-            msg = f"nodes are nested more than {MAX_DEPTH} deep"
-            raise PlantFileError(msg)
-        count = len(self.all("nodes"))
-        for index in reversed(indices):
-            checks.index(index, count, "scene: node index")
-            if index in seen:
-                msg = f"node {index} is reached twice: the nodes are no tree, or run in a circle"
-                raise PlantFileError(msg)
-            seen.add(index)
-            stack.append((index, parent, depth))
+    # --- meshes -------------------------------------------------------------------------------
 
     def placed_primitives(self) -> Iterator[tuple[int, _Primitive, int]]:
         """Node, primitive and number of instances of everything that is drawn."""
@@ -328,86 +186,6 @@ class _File:
         return _Primitive(
             name, material, triangle_count, vertex_count, attributes, indices, mode, label
         )
-
-    # --- accessors ----------------------------------------------------------------------------
-
-    def accessor(self, index: object, label: str, types: set[str]) -> Json:
-        """Return an accessor after checking that its values lie inside its buffer."""
-        accessor = self.item("accessors", index, label)
-        kind, component = accessor.get("type"), accessor.get("componentType")
-        if not (checks.one_of(kind, types) and checks.one_of(component, COMPONENTS)):
-            kind = f"{kind} of {component}"
-            msg = f"{label}: its accessor is {kind}, expected {' or '.join(sorted(types))}"
-            raise PlantFileError(msg)
-        if "sparse" in accessor or "bufferView" not in accessor:
-            msg = f"{label}: a sparse or empty accessor is not read"
-            raise PlantFileError(msg)
-        count = checks.integer(accessor.get("count"), 1, f"{label}: count")
-        start = checks.integer(accessor.get("byteOffset", 0), 0, f"{label}: byteOffset")
-        view = self.item("bufferViews", accessor["bufferView"], label)
-        length = len(self.view_bytes(accessor["bufferView"], label))
-        size = np.dtype(COMPONENTS[accessor["componentType"]]).itemsize * WIDTHS[accessor["type"]]
-        stride = checks.integer(view.get("byteStride", size), size, f"{label}: byteStride")
-        needed = start + (count - 1) * stride + size
-        if needed > length:
-            msg = f"{label}: its values end at byte {needed} of a buffer view of {length} bytes"
-            raise PlantFileError(msg)
-        return accessor
-
-    def values(self, index: int, label: str, types: set[str]) -> NDArray[np.float64]:
-        """Values of an accessor as floats, normalised if it says so: shape (N, C)."""
-        accessor = self.accessor(index, label, types)
-        data = self.view_bytes(accessor["bufferView"], label)
-        view = self.all("bufferViews")[accessor["bufferView"]]
-        dtype = np.dtype("<" + COMPONENTS[accessor["componentType"]])
-        width = WIDTHS[accessor["type"]]
-        stride = view.get("byteStride", dtype.itemsize * width)
-        raw = np.ndarray(
-            (accessor["count"], width),
-            dtype,
-            data,
-            offset=accessor.get("byteOffset", 0),
-            strides=(stride, dtype.itemsize),
-        )
-        return self.as_floats(raw, index)
-
-    def as_floats(self, raw: NDArray[Any], index: int) -> NDArray[np.float64]:
-        accessor = self.all("accessors")[index]
-        values = raw.astype(np.float64)
-        if accessor.get("normalized") and raw.dtype.kind in "iu":
-            values = np.maximum(values / np.iinfo(raw.dtype).max, -1)
-        return values
-
-    def view_bytes(self, index: object, label: str) -> memoryview:
-        view = self.item("bufferViews", index, label)
-        start = checks.integer(view.get("byteOffset", 0), 0, f"{label}: byteOffset")
-        length = checks.integer(view.get("byteLength"), 1, f"{label}: byteLength")
-        number = checks.index(
-            view.get("buffer"), len(self.all("buffers")), f"{label}: buffer index"
-        )
-        data = self.buffer(number)
-        if start + length > len(data):
-            msg = f"{label}: bytes {start} to {start + length} of a buffer of {len(data)} bytes"
-            raise PlantFileError(msg)
-        return memoryview(data)[start : start + length]
-
-    def buffer(self, number: int) -> bytes:
-        if number not in self.buffers:
-            stated = self.all("buffers")[number]
-            what = f"buffer {number}"
-            length = checks.integer(stated.get("byteLength"), 1, f"{what}: byteLength")
-            if "uri" in stated:
-                data = self.source.read_uri(stated["uri"], what, length)
-            elif number == 0 and self.blob is not None:
-                data = self.blob
-            else:
-                msg = f"{what} has no data"
-                raise PlantFileError(msg)
-            if length > len(data):
-                msg = f"{what} is cut short: {len(data)} of {length} bytes"
-                raise PlantFileError(msg)
-            self.buffers[number] = data
-        return self.buffers[number]
 
     # --- materials ----------------------------------------------------------------------------
 
@@ -515,7 +293,7 @@ class _File:
         }
         matrices = np.tile(np.eye(4), (self.instance_count(node), 1, 1))
         if "ROTATION" in arrays:
-            matrices[:, :3, :3] = _rotations(arrays["ROTATION"], what)
+            matrices[:, :3, :3] = rotations(arrays["ROTATION"], what)
         if "SCALE" in arrays:
             matrices[:, :3, :3] *= arrays["SCALE"][:, None, :]
         if "TRANSLATION" in arrays:
@@ -561,9 +339,9 @@ class _File:
                 texture = _base_texture(self.all("materials")[prim.material])
             uvs = None
             if "_UV" in arrays:
-                uvs = _transformed_uvs(arrays["_UV"], texture).astype(np.float32)
+                uvs = transformed_uvs(arrays["_UV"], texture).astype(np.float32)
             matrices = matrix @ self.instances(node)
-            positions, normals, triangles = _placed(
+            positions, normals, triangles = placed_instances(
                 matrices, vertices, arrays.get("_NORMAL"), triangles
             )
             pieces.append(
@@ -589,7 +367,7 @@ class _File:
         nodes: list[Json] = [{"name": f"n{index}"} for index in range(len(self.all("nodes")))]
         roots = []
         for index, parent in self.nodes():
-            nodes[index] |= _local_transform(self.all("nodes")[index], f"node {index}")
+            nodes[index] |= local_transform(self.all("nodes")[index], f"node {index}")
             if parent is None:
                 roots.append(index)
             else:
@@ -671,71 +449,3 @@ def _uv_set(texture: Json | None) -> int:
         return 0
     transform = checks.extension(texture, "KHR_texture_transform")
     return checks.integer(transform.get("texCoord", texture.get("texCoord", 0)), 0, "texCoord")
-
-
-def _transformed_uvs(uvs: NDArray[np.float64], texture: Json | None) -> NDArray[np.float64]:
-    """Apply KHR_texture_transform: scale, turn counter-clockwise as seen with v down, shift."""
-    transform = checks.extension(texture or {}, "KHR_texture_transform")
-    if not transform:
-        return uvs
-    what = "KHR_texture_transform"
-    scale = checks.floats(transform.get("scale", [1, 1]), 2, what)
-    offset = checks.floats(transform.get("offset", [0, 0]), 2, what)
-    angle = checks.floats([transform.get("rotation", 0)], 1, what)[0]
-    c, s = math.cos(angle), math.sin(angle)
-    turned: NDArray[np.float64] = (uvs * scale) @ np.array([[c, -s], [s, c]]) + offset
-    return turned
-
-
-def _placed(
-    matrices: NDArray[np.float64],
-    positions: NDArray[np.float64],
-    normals: NDArray[np.float64] | None,
-    triangles: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, NDArray[np.int64]]:
-    """World positions, normals and triangles of all instances; mirrored ones are wound anew."""
-    if np.array_equal(matrices, np.eye(4)[None]):
-        return positions, normals, triangles
-    linear = matrices[:, :3, :3]
-    world = positions @ linear.transpose(0, 2, 1) + matrices[:, None, :3, 3]
-    # the cofactors are the inverse transpose times the determinant, and exist for any matrix
-    cofactors = np.cross(linear[:, [1, 2, 0]], linear[:, [2, 0, 1]])
-    mirrored = np.linalg.det(linear) < 0
-    cofactors[mirrored] *= -1
-    turned = None
-    if normals is not None:
-        turned = (normals @ cofactors.transpose(0, 2, 1)).reshape(-1, 3)
-    starts = np.arange(len(matrices)) * len(positions)
-    wound = triangles + starts[:, None, None]
-    wound[mirrored] = wound[mirrored][:, :, ::-1]
-    return world.reshape(-1, 3), turned, wound.reshape(-1, 3)
-
-
-def _rotations(quaternions: NDArray[np.float64], what: str) -> NDArray[np.float64]:
-    """Rotation matrices (N, 3, 3) of quaternions (N, 4) in the order x, y, z, w."""
-    lengths = np.linalg.norm(quaternions, axis=1)
-    if not (lengths > 0).all():
-        msg = f"{what}: a rotation of length 0"
-        raise PlantFileError(msg)
-    x, y, z, w = (quaternions / lengths[:, None]).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
-
-
-def _local_transform(node: Json, what: str) -> Json:
-    transform = {}
-    for key, length in {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}.items():
-        if key in node:
-            transform[key] = checks.floats(node[key], length, f"{what}: {key}").tolist()
-    if "rotation" in transform and not any(transform["rotation"]):
-        msg = f"{what}: a rotation of length 0"
-        raise PlantFileError(msg)
-    return transform
-
-
-def _children(node: Json) -> list[int]:
-    return checks.index_list(node.get("children", []), "children")
