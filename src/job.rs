@@ -108,12 +108,15 @@ static POOLS: Mutex<BTreeMap<usize, Arc<ThreadPool>>> = Mutex::new(BTreeMap::new
 /// have held at the moment of the fork and which then stays locked in the child.
 static OWNER: AtomicU32 = AtomicU32::new(0);
 
-/// The thread count used where a call states none: `TREELOD_NUM_THREADS`, else all cores.
+/// The thread count used where a call states none: `TREELOD_NUM_THREADS`, if not empty, else
+/// all cores.
 ///
 /// # Errors
 /// [`LodError::Invalid`] if the variable is set to something that is no thread count.
 pub fn default_thread_count() -> Result<usize, LodError> {
-    let Ok(text) = std::env::var("TREELOD_NUM_THREADS") else {
+    // empty is how a shell leaves a variable that it has not unset
+    let stated = std::env::var("TREELOD_NUM_THREADS").ok().filter(|text| !text.trim().is_empty());
+    let Some(text) = stated else {
         return Ok(std::thread::available_parallelism().map_or(1, |count| count.get()));
     };
     match text.trim().parse() {

@@ -54,7 +54,7 @@ impl Level {
         found.ok_or_else(|| LodError::Invalid { name: argument, why: why() })
     }
 
-    /// What `TREELOD_SIMD` asks for, else the best that this machine has. Read once.
+    /// What `TREELOD_SIMD` asks for; unset or empty, the best that this machine has. Read once.
     ///
     /// # Errors
     /// As [`Level::named`].
@@ -62,8 +62,9 @@ impl Level {
         static CHOSEN: OnceLock<Result<Level, LodError>> = OnceLock::new();
         CHOSEN
             .get_or_init(|| match std::env::var("TREELOD_SIMD") {
-                Ok(name) => Self::named("TREELOD_SIMD", name.trim()),
-                Err(_) => Self::best(),
+                // empty is how a shell leaves a variable that it has not unset
+                Ok(name) if !name.trim().is_empty() => Self::named("TREELOD_SIMD", name.trim()),
+                _ => Self::best(),
             })
             .clone()
     }

@@ -167,6 +167,7 @@ def test_thread_variable_is_read_and_checked():
     done = _python(code, env={"TREELOD_NUM_THREADS": "many"})
     assert done.stdout == 'TREELOD_NUM_THREADS: must be in [1, 1024], got "many"\n'
     assert _python(code, env={"TREELOD_NUM_THREADS": "2"}).stdout == ""
+    assert _python(code, env={"TREELOD_NUM_THREADS": " "}).stdout == "", "as if unset"
 
 
 def _call_in_child(queue):

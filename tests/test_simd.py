@@ -47,7 +47,7 @@ def has(level):
 
 
 def test_bakes_and_pictures_are_the_same_bytes_at_every_level():
-    done = {level: run_with(level) for level in (None, *filter(has, LEVELS))}
+    done = {level: run_with(level) for level in (None, "", *filter(has, LEVELS))}
     assert {level: run.stderr for level, run in done.items() if run.returncode} == {}
     assert len({run.stdout for run in done.values()}) == 1
     assert "scalar" in done
