@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+import treelod
 from treelod.bench import GROUPS, Row, bake, interleaved
 from treelod.cli import app
 
@@ -22,6 +23,10 @@ KEYS = [
     "peer_error",
     "error_kind",
     "aim",
+    "version",
+    "cpu",
+    "threads",
+    "spread",
 ]
 
 SAME_PICTURE = 0.02
@@ -54,6 +59,14 @@ def test_runs_take_turns_and_medians_ignore_the_warm_up():
         {"a": run("a", [9.0, 1.0, 5.0, 2.0]), "b": run("b", [9.0, 4.0, 4.0, 3.0])}, repeats=3
     )
     assert medians == {"a": 2.0, "b": 4.0}
+    # quartiles of 1, 2, 5 are 1.5 and 3.5; of 3, 4, 4 they are 3.5 and 4
+    row = Row(group="g", case="c", ours_secs=medians["a"], peer="p", peer_secs=medians["b"])
+    assert row.spread == 0.5
+    facts = json.loads(row.to_json())
+    assert (facts["ours_secs"], facts["spread"]) == (2.0, 0.5)
+    assert facts["version"] == treelod.__version__
+    assert facts["cpu"]
+    assert facts["threads"] >= 1
     assert turns == ["a", "b"] * 4
     with pytest.raises(ValueError, match="repeats"):
         interleaved({}, repeats=0)

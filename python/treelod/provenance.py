@@ -15,7 +15,7 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["PACKAGES", "Provenance", "core_count", "file_sha256", "provenance"]
+__all__ = ["PACKAGES", "Provenance", "core_count", "cpu_name", "file_sha256", "provenance"]
 
 PACKAGES = ("numpy", "openimageio", "scikit-image", "trimesh", "pandas", "matplotlib")
 """Distributions besides treelod whose versions can change a number or a plot."""
@@ -71,7 +71,7 @@ def provenance() -> Provenance:
         packages={name: _version(name) for name in PACKAGES},
         python=platform.python_version(),
         platform=f"{platform.system()} {platform.release()} {platform.machine()}",
-        cpu=_cpu_name(),
+        cpu=cpu_name(),
         core_count=core_count(),
         date=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     )
@@ -88,6 +88,24 @@ def core_count() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def cpu_name() -> str:
+    """
+    Return the name of the processor.
+
+    Returns
+    -------
+    str
+        As the system has it; "unknown" where it has none.
+    """
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
+            key, _, value = line.partition(":")
+            if key.strip() in ("model name", "Model"):
+                return value.strip()
+    return platform.processor() or platform.machine() or "unknown"
 
 
 def file_sha256(path: str | os.PathLike[str]) -> str:
@@ -145,13 +163,3 @@ def _build_profile() -> str:
     from treelod import _core
 
     return str(getattr(_core, "build_profile", "unknown"))
-
-
-def _cpu_name() -> str:
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.is_file():
-        for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
-            key, _, value = line.partition(":")
-            if key.strip() in ("model name", "Model"):
-                return value.strip()
-    return platform.processor() or platform.machine() or "unknown"

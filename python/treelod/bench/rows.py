@@ -6,10 +6,13 @@ import json
 import math
 import statistics
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 
-__all__ = ["Row", "interleaved"]
+from treelod import _core
+from treelod.provenance import core_count, cpu_name
+
+__all__ = ["Row", "Timing", "interleaved"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +38,15 @@ class Row:
         Which error that is; empty where there is none.
     aim : float or None
         Speed-up that is aimed for; None where there is no aim.
+    version : str
+        Version of treelod.
+    cpu : str
+        Name of the processor.
+    threads : int
+        Logical processors that the process may run on; how many were used, a case says.
+    spread : float or None
+        Half the distance between the quartiles of a time, over its median; the larger of both
+        sides. None where a side's rounds are not known.
     """
 
     group: str
@@ -46,6 +58,15 @@ class Row:
     peer_error: float | None = None
     error_kind: str = ""
     aim: float | None = None
+    version: str = _core.__version__
+    cpu: str = field(default_factory=cpu_name)
+    threads: int = field(default_factory=core_count)
+
+    @property
+    def spread(self) -> float | None:
+        """How far the rounds of the less steady side spread."""
+        spreads = [getattr(secs, "spread", None) for secs in (self.ours_secs, self.peer_secs)]
+        return None if None in spreads else max(spread for spread in spreads if spread is not None)
 
     @property
     def speedup(self) -> float:
@@ -65,12 +86,41 @@ class Row:
         keys = list(facts)
         facts["speedup"] = self.speedup
         keys.insert(keys.index("peer_secs") + 1, "speedup")
-        return json.dumps({key: facts[key] for key in keys}, allow_nan=False)
+        facts["spread"] = self.spread
+        return json.dumps({key: facts[key] for key in [*keys, "spread"]}, allow_nan=False)
+
+
+class Timing(float):
+    """Median seconds of some rounds, which know how far those spread."""
+
+    spread: float
+    """Half the distance between the quartiles, over the median."""
+
+    @classmethod
+    def of(cls, rounds: Sequence[float]) -> Timing:
+        """
+        Sum up rounds.
+
+        Parameters
+        ----------
+        rounds : sequence of float
+            Seconds, at least one.
+
+        Returns
+        -------
+        Timing
+        """
+        timing = cls(statistics.median(rounds))
+        timing.spread = 0.0
+        if len(rounds) > 1:
+            first, _, third = statistics.quantiles(rounds, n=4, method="inclusive")
+            timing.spread = (third - first) / 2.0 / timing
+        return timing
 
 
 def interleaved(
     runs: Mapping[str, Callable[[], float | None]], *, repeats: int, warmup: int = 1
-) -> dict[str, float]:
+) -> dict[str, Timing]:
     """
     Time several ways to do the same work, taking turns.
 
@@ -88,7 +138,7 @@ def interleaved(
 
     Returns
     -------
-    dict of str to float
+    dict of str to Timing
         Median seconds of each.
 
     Raises
@@ -115,4 +165,4 @@ def interleaved(
                 raise ValueError(msg)
             if turn >= 0:
                 secs[name].append(spent)
-    return {name: statistics.median(spent) for name, spent in secs.items()}
+    return {name: Timing.of(spent) for name, spent in secs.items()}
