@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import treelod
+from treelod import cli
 from treelod.cli import app
 from treelod.techniques import REGISTRY
 
@@ -73,6 +74,17 @@ def test_grow_writes_a_plant_that_loads(run, tmp_path):
     again = tmp_path / "d.glb"
     run("grow", "chestnut", "-o", again, "--leaf-count", 200, "--seed", 3)
     assert again.read_bytes() == file.read_bytes()
+
+
+@pytest.mark.parametrize(("target", "why"), [("no/a.glb", "no folder"), ("a.glb", "is a folder")])
+def test_grow_refuses_a_file_it_cannot_write_before_it_grows(
+    run, tmp_path, monkeypatch, target, why
+):
+    (tmp_path / "a.glb").mkdir()
+    monkeypatch.setattr(cli, "grow_plant", lambda *_, **__: pytest.fail("it grows"))
+    done = run("grow", "chestnut", "-o", str(tmp_path / target))
+    assert done.exit_code == 1
+    assert why in done.stderr
 
 
 def test_compare_grown_and_loaded(run, tmp_path):

@@ -26,7 +26,7 @@ from treelod.cameras import (
     default_cameras,
 )
 from treelod.export import plant_glb
-from treelod.files import atomic_write
+from treelod.files import atomic_write, check_target
 from treelod.plants import PRESETS, grow_plant, load_plant
 from treelod.provenance import file_sha256
 from treelod.techniques import REGISTRY, FullMesh
@@ -285,6 +285,7 @@ def grow(
         msg = f"there is no preset {preset!r}; there are {', '.join(PRESETS)}"
         raise typer.BadParameter(msg, param_hint="PRESET")
     with reported(verbose=verbose), Stages() as stages:
+        check_target(output)
         subject, _ = _subject(stages, preset, seed=seed, leaf_count=leaf_count)
         data = plant_glb(subject)
         atomic_write(output, data)

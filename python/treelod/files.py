@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["atomic_write"]
+__all__ = ["atomic_write", "check_target"]
 
 _MODE = 0o666
 
@@ -43,12 +43,7 @@ def atomic_write(path: str | os.PathLike[str], data: bytes | Callable[[BinaryIO]
     target = Path(path)
     if target.is_symlink():
         target = target.resolve()
-    if not target.parent.is_dir():
-        msg = f"cannot write {target}: there is no folder {target.parent}"
-        raise FileNotFoundError(msg)
-    if target.is_dir():
-        msg = f"cannot write {target}: it is a folder"
-        raise IsADirectoryError(msg)
+    check_target(target)
     handle, name = tempfile.mkstemp(
         prefix=f".{target.name[:100]}.", suffix=".tmp", dir=target.parent
     )
@@ -67,6 +62,31 @@ def atomic_write(path: str | os.PathLike[str], data: bytes | Callable[[BinaryIO]
         temporary.unlink(missing_ok=True)
         raise
     _sync_folder(target.parent)
+
+
+def check_target(path: str | os.PathLike[str]) -> None:
+    """
+    Refuse a file that cannot be written, before the work for it.
+
+    Parameters
+    ----------
+    path : path-like
+        The file to make or replace.
+
+    Raises
+    ------
+    FileNotFoundError
+        If its folder does not exist.
+    IsADirectoryError
+        If it is a folder.
+    """
+    target = Path(path)
+    if not target.parent.is_dir():
+        msg = f"cannot write {target}: there is no folder {target.parent}"
+        raise FileNotFoundError(msg)
+    if target.is_dir():
+        msg = f"cannot write {target}: it is a folder"
+        raise IsADirectoryError(msg)
 
 
 def _permissions(target: Path) -> int:
