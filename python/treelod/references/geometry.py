@@ -28,6 +28,12 @@ Largest difference of a rectangle's area, as a share of trimesh's. Both are f64,
 axes of their own: a leaf a thousandth as wide as long then differs by 1e-13.
 """
 
+MAX_OVERHANG = 1e-12
+"""
+Largest distance of a vertex from its rectangle, as a share of the plant's size: in f64 both are
+right to 1e-16 of it.
+"""
+
 FLAT = 1e-6
 """
 Height of a rectangle, as a share of its length, below which a leaf counts as a line: trimesh's hull
@@ -158,7 +164,7 @@ def rectangles(plant: Plant) -> list[Check]:
             name="minimum-area rectangles: largest overhang of a vertex",
             value=float(np.max(overhangs)) / _size(plant),
             relation="<=",
-            limit=ROUNDING,
+            limit=MAX_OVERHANG,
         ),
     ]
 
