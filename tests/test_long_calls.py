@@ -92,8 +92,11 @@ def test_ctrl_c_ends_it_within_a_second(name):
     assert works_again == "True"
 
 
-COMMAND_STOP_SECS = 1.5
-"""From Ctrl-C to the end of a command: the call, its children and the interpreter's end."""
+COMMAND_STOP_SECS = 3.0
+"""
+From Ctrl-C to the end of a command: the call, its children, their folders and the interpreter's
+end. It took 1.7 s on two processors that sixteen processes wanted, below 1.5 s where eight did.
+"""
 
 
 @pytest.mark.parametrize("to_group", [False, True], ids=["the parent alone", "as a terminal does"])

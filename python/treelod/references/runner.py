@@ -69,7 +69,7 @@ _ATTEMPTS = 2
 _TIMEOUT_SECS = 3600.0
 """A reference that takes longer hangs: the largest takes a quarter of it on two slow cores."""
 
-_POLL_SECS = 0.1
+_POLL_SECS = 0.05
 """How often a thread that waits for a child looks whether it shall."""
 
 _MAX_WORKERS = 8
