@@ -6,7 +6,7 @@
 use std::sync::OnceLock;
 
 #[cfg(target_arch = "x86_64")]
-use fearless_simd::{Avx2, Sse2};
+use fearless_simd::{Avx2, Avx512, Sse2};
 use fearless_simd::{Fallback, Simd};
 
 use crate::error::LodError;
@@ -22,13 +22,16 @@ pub enum Level {
     /// Eight lanes.
     #[cfg(target_arch = "x86_64")]
     Avx2(Avx2),
+    /// Eight lanes, with masks of their own and more registers.
+    #[cfg(target_arch = "x86_64")]
+    Avx512(Avx512),
 }
 
 /// Numbers that kernels work on at once; levels with shorter vectors use several.
 pub(crate) const LANE_COUNT: usize = 8;
 
 /// Names of the levels, as `TREELOD_SIMD` takes them.
-pub const NAMES: [&str; 3] = ["scalar", "sse2", "avx2"];
+pub const NAMES: [&str; 4] = ["scalar", "sse2", "avx2", "avx512"];
 
 impl Level {
     /// The level of a name.
@@ -44,6 +47,8 @@ impl Level {
             "sse2" => best.as_sse2().map(Self::Sse2),
             #[cfg(target_arch = "x86_64")]
             "avx2" => best.as_avx2().map(Self::Avx2),
+            #[cfg(target_arch = "x86_64")]
+            "avx512" => best.as_avx512().map(Self::Avx512),
             _ if NAMES.contains(&name) => None,
             _ => {
                 let why = format!("must be one of {NAMES:?}, got {name:?}");
@@ -93,6 +98,11 @@ impl Level {
                 #[inline(always)]
                 || kernel.run(simd),
             ),
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512(simd) => simd.vectorize(
+                #[inline(always)]
+                || kernel.run(simd),
+            ),
         }
     }
 }
@@ -119,7 +129,7 @@ mod tests {
     fn names_are_levels_and_others_are_refused() {
         assert!(matches!(Level::named("simd", "scalar"), Ok(Level::Scalar(_))), "everywhere");
         let text = Level::named("simd", "avx9").expect_err("no such level").to_string();
-        assert_eq!(text, r#"simd: must be one of ["scalar", "sse2", "avx2"], got "avx9""#, "named");
+        assert_eq!(text, r#"simd: must be one of ["scalar", "sse2", "avx2", "avx512"], got "avx9""#, "named");
         assert!(!Level::all().is_empty(), "scalar at least");
     }
 }
