@@ -129,7 +129,10 @@ mod tests {
     fn names_are_levels_and_others_are_refused() {
         assert!(matches!(Level::named("simd", "scalar"), Ok(Level::Scalar(_))), "everywhere");
         let text = Level::named("simd", "avx9").expect_err("no such level").to_string();
-        assert_eq!(text, r#"simd: must be one of ["scalar", "sse2", "avx2", "avx512"], got "avx9""#, "named");
+        assert_eq!(
+            text, r#"simd: must be one of ["scalar", "sse2", "avx2", "avx512"], got "avx9""#,
+            "named"
+        );
         assert!(!Level::all().is_empty(), "scalar at least");
     }
 }

@@ -128,6 +128,7 @@ impl Renderer {
             sample_count: samples,
             outputs: outputs_from(&outputs)?,
             background: Vec4::from(background),
+            counts_fragments: true,
         };
         let scene = Arc::clone(&scene.inner);
         let frame = run(py, threads, None, |job| {
@@ -153,8 +154,12 @@ impl Renderer {
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let view = camera.view()?;
-        let settings =
-            Settings { sample_count: samples, outputs: Outputs::COLOR, background: Vec4::ZERO };
+        let settings = Settings {
+            sample_count: samples,
+            outputs: Outputs::COLOR,
+            background: Vec4::ZERO,
+            counts_fragments: false,
+        };
         let scene = Arc::clone(&scene.inner);
         let stats = run(py, threads, None, |job: &Job| {
             let mut guard = self.taken()?;

@@ -15,6 +15,7 @@ mod frame;
 mod grid;
 mod naive;
 mod placing;
+mod plain;
 pub mod samples;
 mod setup;
 mod shade;
@@ -69,6 +70,8 @@ pub struct Settings {
     pub outputs: Outputs,
     /// Premultiplied linear colour behind everything.
     pub background: Vec4,
+    /// Whether to count fragments, which takes time.
+    pub counts_fragments: bool,
 }
 
 /// Draws lists and keeps its memory between them.
@@ -132,7 +135,11 @@ impl Renderer {
         let pixel_count = u64::from(view.width) * u64::from(view.height);
         check_limit("size", pixel_count, MAX_PIXEL_COUNT, "pixels")?;
         let positions = samples::positions(settings.sample_count)?;
-        let mut stats = Stats { thread_count: rayon::current_num_threads(), ..Stats::default() };
+        let mut stats = Stats {
+            thread_count: rayon::current_num_threads(),
+            fragment_count: settings.counts_fragments.then_some(0),
+            ..Stats::default()
+        };
         stats.count(list);
         let level = self.simd.map_or_else(Level::chosen, Ok)?;
         let start = Instant::now();
@@ -207,7 +214,8 @@ impl Renderer {
             for (number, batch) in batches.iter().enumerate() {
                 let units = set_up(units, batch, state, &grid)?;
                 stats.vertex_count += units.iter().map(|unit| unit.vertex_count).sum::<u64>();
-                let scene = Scene::new(level, list, view, units, grid, &samples, outputs);
+                let mut scene = Scene::new(level, list, view, units, grid, &samples, outputs);
+                scene.counts_fragments = settings.counts_fragments;
                 let last = number + 1 == batches.len();
                 let fragments: Result<Vec<u64>, LodError> = targets
                     .par_iter_mut()
@@ -238,7 +246,10 @@ impl Renderer {
                         Ok(buffer.fragment_count)
                     })
                     .collect();
-                stats.fragment_count += fragments?.iter().sum::<u64>();
+                let fragments = fragments?.iter().sum::<u64>();
+                if let Some(count) = &mut stats.fragment_count {
+                    *count += fragments;
+                }
             }
             if !one_batch && blends && outputs.depth {
                 // nearest first: the batches again, last to first

@@ -400,7 +400,8 @@ pub(super) fn draw(
         slab: None,
     });
     let outputs = Outputs { ids: true, ..Outputs::COLOR_DEPTH };
-    let settings = Settings { sample_count, outputs, background: Vec4::ZERO };
+    let settings =
+        Settings { sample_count, outputs, background: Vec4::ZERO, counts_fragments: false };
     let render = || Renderer::default().render(&list, view, &settings, &Job::default());
     job::run(Some(2), render).expect("a valid list")
 }
