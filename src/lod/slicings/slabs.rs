@@ -209,8 +209,10 @@ impl<'a> Crowned<'a> {
             triangle: usize,
             cut: bool,
             blended: bool,
-            /// How near to the viewer.
-            height: f64,
+            /// By how near to the viewer.
+            rank: i64,
+            /// Among those that were assigned.
+            place: usize,
         }
         let mesh = &self.plant.foliage.mesh;
         let material_of = |t: usize| &self.plant.materials[self.materials[t] as usize];
@@ -219,20 +221,21 @@ impl<'a> Crowned<'a> {
             .flat_map(|&Placed { leaf, cut }| {
                 self.plant.foliage.triangles_of(leaf).map(move |triangle| (triangle, cut))
             })
-            .map(|(triangle, cut)| {
+            .enumerate()
+            .map(|(place, (triangle, cut))| {
                 let blended = blend_of(material_of(triangle)) == Blend::Over;
                 let corners = mesh.corners(triangle);
-                let height = corners.iter().map(|p| p.as_dvec3().dot(view.back)).sum();
-                Drawn { triangle, cut, blended, height }
+                let height: f64 = corners.iter().map(|p| p.as_dvec3().dot(view.back)).sum();
+                // in the order of `total_cmp`
+                let bits = height.to_bits().cast_signed();
+                let upwards = bits ^ ((bits >> 63).cast_unsigned() >> 1).cast_signed();
+                let rank = if blended { upwards } else { !upwards };
+                Drawn { triangle, cut, blended, rank, place }
             })
             .collect();
         // blended triangles after the others and far to near; the others near to far, so that what
         // they hide needs no alpha test
-        drawn.sort_by(|a, b| {
-            let by_height = a.height.total_cmp(&b.height);
-            let order = if a.blended { by_height } else { by_height.reverse() };
-            a.blended.cmp(&b.blended).then(order)
-        });
+        drawn.sort_unstable_by_key(|drawn| (drawn.blended, drawn.rank, drawn.place));
         let mut list = DrawList::default();
         let source = list.geometry(&self.geometry);
         let instances = list.instance(Instance::new(&DAffine3::IDENTITY, view));
