@@ -64,6 +64,11 @@ impl Layout {
         slice
     }
 
+    /// Whether what lies between two offsets is longer than the spacing.
+    fn is_exceeded_by(&self, (low, high): (f64, f64)) -> bool {
+        self.count > 1 && high - low > self.spacing * (1.0 + TIE)
+    }
+
     /// Offsets between which a slice owns cut leaves; the outermost reach to infinity.
     pub(super) fn slab(&self, slice: usize) -> (f64, f64) {
         let low =
@@ -152,8 +157,7 @@ impl<'a> Crowned<'a> {
 
     /// Whether a leaf is longer than the spacing along a layout's direction.
     pub(super) fn is_large(&self, leaf: usize, layout: &Layout) -> bool {
-        let (low, high) = self.extent(leaf, layout.toward);
-        layout.count > 1 && high - low > layout.spacing * (1.0 + TIE)
+        layout.is_exceeded_by(self.extent(leaf, layout.toward))
     }
 
     /// The rectangle through the centre that encloses every leaf as seen along a layout's direction.
@@ -183,8 +187,8 @@ impl<'a> Crowned<'a> {
         let placed: Vec<(bool, usize, usize)> = (0..self.leaf_centers.len())
             .into_par_iter()
             .map(|leaf| {
-                if self.is_large(leaf, &layout) {
-                    let (low, high) = self.extent(leaf, layout.toward);
+                let (low, high) = self.extent(leaf, layout.toward);
+                if layout.is_exceeded_by((low, high)) {
                     // wider than it is, since slabs are cut at f32 depths of up to 8 radii
                     let margin = layout.spacing * 1e-3 + self.radius * 1e-5;
                     (true, layout.nearest(low - margin), layout.nearest(high + margin))
