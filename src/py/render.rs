@@ -206,6 +206,14 @@ pub(super) fn time_naive(
     })
 }
 
+/// Multiplications and additions of `f32` a second that a thread does at best, with the vectors that
+/// kernels use.
+#[pyfunction]
+pub(super) fn peak_rate(py: Python<'_>) -> PyResult<f64> {
+    let level = Level::chosen()?;
+    Ok(py.detach(|| crate::simd::peak_rate(level)))
+}
+
 /// The one list that draws a scene, and the milliseconds it took to make.
 fn emit(
     scene: &scene::Scene,
@@ -282,7 +290,9 @@ fn stats_facts<'py>(py: Python<'py>, stats: &Stats) -> PyResult<Bound<'py, PyDic
     facts.set_item("lines", stats.line_count)?;
     facts.set_item("points", stats.point_count)?;
     facts.set_item("vertices", stats.vertex_count)?;
-    facts.set_item("fragments", stats.fragment_count)?;
+    if let Some(count) = stats.fragment_count {
+        facts.set_item("fragments", count)?;
+    }
     facts.set_item("threads", stats.thread_count)?;
     Ok(facts)
 }

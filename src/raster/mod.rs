@@ -58,7 +58,7 @@ pub const MAX_PIXEL_COUNT: u64 = 1 << 27;
 
 /// Pixels a tile's side, by samples a pixel: a tile's samples stay in a core's cache.
 fn tile_side(sample_count: usize) -> i32 {
-    if sample_count <= 4 { 32 } else { 16 }
+    if sample_count == 1 { 64 } else { 32 }
 }
 
 /// How a list is drawn.
@@ -81,6 +81,8 @@ pub struct Renderer {
     tiles: Vec<Mutex<TileBuffer>>,
     planes: Planes,
     max_batch_units: usize,
+    /// Tests make it small, so that small pictures have several tiles.
+    max_tile_side: i32,
     simd: Option<Level>,
 }
 
@@ -91,6 +93,7 @@ impl Default for Renderer {
             tiles: Vec::new(),
             planes: Planes::default(),
             max_batch_units: MAX_BATCH_UNITS,
+            max_tile_side: i32::MAX,
             simd: None,
         }
     }
@@ -184,7 +187,7 @@ impl Renderer {
         };
         let blends = list.items.iter().any(|item| item.blend == Blend::Over);
         let batches: Vec<&[Vec<Segment>]> = cut.chunks(self.max_batch_units).collect();
-        let side = tile_side(S);
+        let side = tile_side(S).min(self.max_tile_side);
         let tile_rows = i32::try_from(view.height).expect("checked").div_euclid(side)
             + i32::from(!view.height.is_multiple_of(side.unsigned_abs()));
         let layered = blends || batches.len() > 1;

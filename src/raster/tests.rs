@@ -59,7 +59,8 @@ fn add(list: &mut DrawList, view: &View, primitive: Primitive, data: Buffers, bl
 fn draw(list: &DrawList, view: &View, sample_count: u32) -> Frame {
     let settings =
         Settings { sample_count, outputs: ALL, background: Vec4::ZERO, counts_fragments: true };
-    let render = || Renderer::default().render(list, view, &settings, &Job::default());
+    let renderer = || Renderer { max_tile_side: 16, ..Renderer::default() };
+    let render = || renderer().render(list, view, &settings, &Job::default());
     job::run(Some(2), render).expect("valid")
 }
 
@@ -409,7 +410,8 @@ fn the_same_bytes_on_any_number_of_threads_and_in_batches() {
                 counts_fragments: true,
             };
             let with = |thread_count: usize, max_batch_units: usize| {
-                let mut renderer = Renderer { max_batch_units, ..Renderer::default() };
+                let mut renderer =
+                    Renderer { max_batch_units, max_tile_side: 16, ..Renderer::default() };
                 let draw = || renderer.render(&long, &view, &settings, &Job::default());
                 let mut frame = job::run(Some(thread_count), draw).expect("valid");
                 frame.stats = super::Stats::default();
