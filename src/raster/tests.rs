@@ -451,6 +451,17 @@ fn fragments_are_pixels_of_which_a_sample_is_covered() {
                 let shown = frame.color.iter().filter(|pixel| pixel.w > 0.0).count() as u64;
                 let counted = frame.stats.fragment_count.expect("asked for");
                 assert_eq!(counted, shown, "{primitive:?}, {blend:?}, {sample_count} samples");
+                let settings = Settings {
+                    sample_count,
+                    outputs: ALL,
+                    background: Vec4::ZERO,
+                    counts_fragments: false,
+                };
+                let uncounted =
+                    Renderer::default().render(&list, &view, &settings, &Job::default());
+                let uncounted = uncounted.expect("valid");
+                assert_eq!(uncounted.stats.fragment_count, None, "not asked for");
+                assert_eq!(uncounted.color, frame.color, "the same picture, in larger tiles");
             }
         }
     }
