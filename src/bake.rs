@@ -90,7 +90,12 @@ pub fn bake(
     job: &Job,
 ) -> Result<LinearImage, LodError> {
     check_in("samples", sample_count, 1..=crate::raster::samples::MAX_SAMPLE_COUNT)?;
-    let settings = Settings { sample_count, outputs: Outputs::COLOR, background: Vec4::ZERO };
+    let settings = Settings {
+        sample_count,
+        outputs: Outputs::COLOR,
+        background: Vec4::ZERO,
+        counts_fragments: false,
+    };
     let frame = renderer.render(list, view, &settings, job)?;
     Ok(LinearImage { width: view.width, height: view.height, texels: frame.color })
 }

@@ -12,7 +12,7 @@ from treelod import _core
 from treelod.render import camera_facts
 from treelod.scenes import Scene
 
-LEVELS = ("scalar", "sse2", "avx2")
+LEVELS = ("scalar", "sse2", "avx2", "avx512")
 
 SCRIPT = """
 import hashlib, treelod as tl

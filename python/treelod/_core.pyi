@@ -17,6 +17,7 @@ __all__ = [
     "encode_png",
     "full_mesh",
     "grow",
+    "peak_rate",
     "preset_names",
     "slicings",
     "smooth_normals",
@@ -177,6 +178,7 @@ class Renderer:
         self, scene: Scene, camera: _CameraFacts, *, samples: int, threads: int | None
     ) -> dict[str, float]: ...
 
+def peak_rate() -> float: ...
 def time_naive(scene: Scene, camera: _CameraFacts, *, samples: int) -> float: ...
 def full_mesh(
     plant: Plant, *, wood: bool, wood_triangle_count: int | None, filter: str

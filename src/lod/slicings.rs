@@ -16,7 +16,7 @@ mod slabs;
 #[cfg(test)]
 mod tests;
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
@@ -44,6 +44,9 @@ const INSIDE: f64 = 1e-3;
 
 /// Texels of all slices together: 2 GiB of RGBA8 without mips.
 const MAX_TOTAL_TEXELS: u64 = 1 << 29;
+
+/// Texels of slices that are drawn side by side: half a gigabyte of planes and their copies.
+const MAX_TEXELS_AT_ONCE: u64 = 1 << 24;
 
 /// More slicings or slices than this are taken for a mistake.
 const MAX_COUNT: usize = 4096;
@@ -135,6 +138,12 @@ pub struct Measured {
     pub large_leaf_count: usize,
 }
 
+/// Slices drawn side by side: one a thread, unless their texels would take much memory.
+fn at_once((width, height): (u32, u32)) -> usize {
+    let fitting = MAX_TEXELS_AT_ONCE / (u64::from(width) * u64::from(height));
+    usize::try_from(fitting).unwrap_or(usize::MAX).clamp(1, rayon::current_num_threads())
+}
+
 /// Appends a slice's card, which is white: its texture is lit.
 fn push_card(buffers: &mut Buffers, rect: &BakeRect) -> u32 {
     let first = u32::try_from(buffers.positions.len()).expect("few cards");
@@ -187,7 +196,7 @@ impl Slicings {
         job.begin(baked().map(|(layout, _)| layout.count as u64).sum());
         let (in_mesh, large_leaf_count) = large_leaves(&crowned, &layouts, params, job)?;
         let wood = params.wood.of(plant)?;
-        let mut renderer = Renderer::default();
+        let renderers: Mutex<Vec<Renderer>> = Mutex::default();
         let mut slicings = Vec::new();
         let mut cards = Buffers::default();
         let mut alpha = SilhouetteAlpha::default();
@@ -199,21 +208,36 @@ impl Slicings {
             job.check()?;
             let assignment = crowned.assign(*layout, &in_mesh);
             let view = assignment.rect.view(resolution)?;
-            let mut slices = Vec::new();
-            for slice in 0..layout.count {
+            let draw = |slice: usize| {
                 let list = crowned.list(&view, &assignment, slice);
+                let idle = || renderers.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut renderer = idle().pop().unwrap_or_default();
                 let image = bake(&mut renderer, &list, &view, params.sample_count, job)?;
-                alpha.add(&image);
-                let empty = image.texels.iter().all(|texel| texel.w == 0.0);
-                let baked = if empty {
+                idle().push(renderer);
+                let is_empty = image.texels.iter().all(|texel| texel.w == 0.0);
+                let texture = if is_empty {
                     None
                 } else {
-                    let rect = assignment.card(slice);
-                    let texture = finish(&image, Keep::MeanAlpha, params.format, job)?;
-                    Some(Baked { rect, texture, card: push_card(&mut cards, &rect) })
+                    Some(finish(&image, Keep::MeanAlpha, params.format, job)?)
                 };
-                slices.push(Slice { offset: layout.offset(slice), baked });
                 job.advance();
+                Ok((image, texture))
+            };
+            let mut slices = Vec::new();
+            while slices.len() < layout.count {
+                let next = slices.len()..layout.count.min(slices.len() + at_once(resolution));
+                let drawn: Result<Vec<_>, LodError> = next.into_par_iter().map(draw).collect();
+                for (image, texture) in drawn? {
+                    alpha.add(&image);
+                    let slice = slices.len();
+                    let rect = assignment.card(slice);
+                    let baked = texture.map(|texture| Baked {
+                        rect,
+                        texture,
+                        card: push_card(&mut cards, &rect),
+                    });
+                    slices.push(Slice { offset: layout.offset(slice), baked });
+                }
             }
             alpha.next_slicing();
             slicings.push(Some(slices));

@@ -50,8 +50,11 @@ impl Mesh {
     }
 
     /// The three corners of a triangle.
+    #[inline]
     pub fn corners(&self, triangle: usize) -> [Vec3; 3] {
-        self.triangles[triangle].map(|vertex| self.positions[vertex as usize])
+        let at = |vertex: u32| self.positions[vertex as usize];
+        let [a, b, c] = self.triangles[triangle];
+        [at(a), at(b), at(c)]
     }
 
     /// Smallest box around every vertex that a triangle uses, or `None` without triangles.

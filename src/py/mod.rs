@@ -80,7 +80,7 @@ mod _core {
     #[pymodule_export]
     use super::png::encode_png;
     #[pymodule_export]
-    use super::render::{Renderer, Scene, time_naive};
+    use super::render::{Renderer, Scene, peak_rate, time_naive};
     #[pymodule_export]
     use super::run::{_panic_for_test, _spin_for_test};
 

@@ -128,6 +128,7 @@ impl Renderer {
             sample_count: samples,
             outputs: outputs_from(&outputs)?,
             background: Vec4::from(background),
+            counts_fragments: true,
         };
         let scene = Arc::clone(&scene.inner);
         let frame = run(py, threads, None, |job| {
@@ -153,8 +154,12 @@ impl Renderer {
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let view = camera.view()?;
-        let settings =
-            Settings { sample_count: samples, outputs: Outputs::COLOR, background: Vec4::ZERO };
+        let settings = Settings {
+            sample_count: samples,
+            outputs: Outputs::COLOR,
+            background: Vec4::ZERO,
+            counts_fragments: false,
+        };
         let scene = Arc::clone(&scene.inner);
         let stats = run(py, threads, None, |job: &Job| {
             let mut guard = self.taken()?;
@@ -199,6 +204,14 @@ pub(super) fn time_naive(
         raster::draw_naive(&list, &view, samples, job)?;
         Ok(start.elapsed().as_secs_f64())
     })
+}
+
+/// Multiplications and additions of `f32` a second that a thread does at best, with the vectors that
+/// kernels use.
+#[pyfunction]
+pub(super) fn peak_rate(py: Python<'_>) -> PyResult<f64> {
+    let level = Level::chosen()?;
+    Ok(py.detach(|| crate::simd::peak_rate(level)))
 }
 
 /// The one list that draws a scene, and the milliseconds it took to make.
@@ -277,7 +290,9 @@ fn stats_facts<'py>(py: Python<'py>, stats: &Stats) -> PyResult<Bound<'py, PyDic
     facts.set_item("lines", stats.line_count)?;
     facts.set_item("points", stats.point_count)?;
     facts.set_item("vertices", stats.vertex_count)?;
-    facts.set_item("fragments", stats.fragment_count)?;
+    if let Some(count) = stats.fragment_count {
+        facts.set_item("fragments", count)?;
+    }
     facts.set_item("threads", stats.thread_count)?;
     Ok(facts)
 }

@@ -55,8 +55,8 @@ pub struct Stats {
     /// Vertices transformed.
     pub vertex_count: u64,
     /// (primitive, pixel) pairs of which a sample is covered, hidden ones included, summed over the
-    /// sets of up to 16 samples that a picture is drawn in.
-    pub fragment_count: u64,
+    /// sets of up to 16 samples that a picture is drawn in; `None` unless it was asked for.
+    pub fragment_count: Option<u64>,
     /// Threads of the pool that drew it.
     pub thread_count: usize,
 }

@@ -15,6 +15,7 @@ mod frame;
 mod grid;
 mod naive;
 mod placing;
+mod plain;
 pub mod samples;
 mod setup;
 mod shade;
@@ -57,7 +58,7 @@ pub const MAX_PIXEL_COUNT: u64 = 1 << 27;
 
 /// Pixels a tile's side, by samples a pixel: a tile's samples stay in a core's cache.
 fn tile_side(sample_count: usize) -> i32 {
-    if sample_count <= 4 { 32 } else { 16 }
+    if sample_count == 1 { 64 } else { 32 }
 }
 
 /// How a list is drawn.
@@ -69,6 +70,8 @@ pub struct Settings {
     pub outputs: Outputs,
     /// Premultiplied linear colour behind everything.
     pub background: Vec4,
+    /// Whether to count fragments, which takes time.
+    pub counts_fragments: bool,
 }
 
 /// Draws lists and keeps its memory between them.
@@ -78,6 +81,8 @@ pub struct Renderer {
     tiles: Vec<Mutex<TileBuffer>>,
     planes: Planes,
     max_batch_units: usize,
+    /// Tests make it small, so that small pictures have several tiles.
+    max_tile_side: i32,
     simd: Option<Level>,
 }
 
@@ -88,6 +93,7 @@ impl Default for Renderer {
             tiles: Vec::new(),
             planes: Planes::default(),
             max_batch_units: MAX_BATCH_UNITS,
+            max_tile_side: i32::MAX,
             simd: None,
         }
     }
@@ -132,7 +138,11 @@ impl Renderer {
         let pixel_count = u64::from(view.width) * u64::from(view.height);
         check_limit("size", pixel_count, MAX_PIXEL_COUNT, "pixels")?;
         let positions = samples::positions(settings.sample_count)?;
-        let mut stats = Stats { thread_count: rayon::current_num_threads(), ..Stats::default() };
+        let mut stats = Stats {
+            thread_count: rayon::current_num_threads(),
+            fragment_count: settings.counts_fragments.then_some(0),
+            ..Stats::default()
+        };
         stats.count(list);
         let level = self.simd.map_or_else(Level::chosen, Ok)?;
         let start = Instant::now();
@@ -177,7 +187,7 @@ impl Renderer {
         };
         let blends = list.items.iter().any(|item| item.blend == Blend::Over);
         let batches: Vec<&[Vec<Segment>]> = cut.chunks(self.max_batch_units).collect();
-        let side = tile_side(S);
+        let side = tile_side(S).min(self.max_tile_side);
         let tile_rows = i32::try_from(view.height).expect("checked").div_euclid(side)
             + i32::from(!view.height.is_multiple_of(side.unsigned_abs()));
         let layered = blends || batches.len() > 1;
@@ -207,7 +217,8 @@ impl Renderer {
             for (number, batch) in batches.iter().enumerate() {
                 let units = set_up(units, batch, state, &grid)?;
                 stats.vertex_count += units.iter().map(|unit| unit.vertex_count).sum::<u64>();
-                let scene = Scene::new(level, list, view, units, grid, &samples, outputs);
+                let mut scene = Scene::new(level, list, view, units, grid, &samples, outputs);
+                scene.counts_fragments = settings.counts_fragments;
                 let last = number + 1 == batches.len();
                 let fragments: Result<Vec<u64>, LodError> = targets
                     .par_iter_mut()
@@ -238,7 +249,10 @@ impl Renderer {
                         Ok(buffer.fragment_count)
                     })
                     .collect();
-                stats.fragment_count += fragments?.iter().sum::<u64>();
+                let fragments = fragments?.iter().sum::<u64>();
+                if let Some(count) = &mut stats.fragment_count {
+                    *count += fragments;
+                }
             }
             if !one_batch && blends && outputs.depth {
                 // nearest first: the batches again, last to first

@@ -14,11 +14,12 @@ use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, i32x8};
 use glam::Vec3;
 
-use crate::draw_list::{DrawList, Item, Primitive};
+use crate::draw_list::{Blend, DrawList, Item, Primitive};
 use crate::raster::clip::clip_polygon;
 use crate::raster::grid::{Grid, pixel_u16};
 use crate::raster::placing::{Chosen, GUARD_PX, Placing, ScreenVertex, snap};
 use crate::raster::samples::{SUBPIXEL_BITS, SUBPIXEL_COUNT};
+use crate::raster::tile::slab_keys;
 use crate::simd::{Kernel, LANE_COUNT, Level};
 use crate::view::View;
 
@@ -38,10 +39,12 @@ pub(crate) mod flags {
     pub(crate) const RECT: u32 = 4;
     /// Edge functions may need i64.
     pub(crate) const WIDE: u32 = 8;
+    /// Opaque, writes its depth, and is there as a whole: no slab or fade takes a part of it.
+    pub(crate) const PLAIN: u32 = 16;
 }
 
 /// A shape's segment, as an index into its unit's `segments`, and `flags`.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Tag(u32);
 
 impl Tag {
@@ -66,7 +69,7 @@ impl Tag {
 }
 
 /// What a triangle or rectangle needs to be drawn: one cache line.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 #[repr(align(64))]
 pub(crate) struct Shape {
     /// Snapped corners, clockwise as seen on the picture (y down), in sub-pixel steps.
@@ -125,7 +128,17 @@ struct Context<'a> {
     placing: Placing,
     /// The segment's, without flags.
     tag: Tag,
+    /// Depth keys above the first and up to the second make a shape plain, if anything does.
+    plain_keys: (f32, f32),
     primitives: Range<u32>,
+}
+
+impl Context<'_> {
+    /// [`flags::PLAIN`] for a shape of these keys, or nothing.
+    fn plain(&self, [farthest, nearest]: [f32; 2]) -> u32 {
+        let (lowest, highest) = self.plain_keys;
+        if farthest > lowest && nearest <= highest { flags::PLAIN } else { 0 }
+    }
 }
 
 /// Triangles that wait to be set up together.
@@ -155,6 +168,8 @@ impl Unit {
         for (number, segment) in (0_u32..).zip(segments) {
             let item = &list.items[segment.item as usize];
             let instance = &list.instances[segment.instance as usize];
+            let plain = item.blend == Blend::Opaque && item.depth_write && instance.fade == 1.0;
+            let nowhere = (f32::INFINITY, f32::NEG_INFINITY);
             let context = Context {
                 level,
                 list,
@@ -162,6 +177,7 @@ impl Unit {
                 grid,
                 placing: Placing::new(view, instance.linear, instance.translation),
                 tag: Tag::of_segment(number),
+                plain_keys: if plain { slab_keys(view, item.slab) } else { nowhere },
                 primitives: segment.primitives.clone(),
             };
             match item.primitive {
@@ -276,7 +292,8 @@ impl Unit {
         primitive: u32,
         winding: u32,
     ) {
-        if let Some(shape) = triangle(points, context.tag.with(winding), context.grid) {
+        if let Some(mut shape) = triangle(points, context.tag.with(winding), context.grid) {
+            shape.tag = shape.tag.with(context.plain(shape.key_range));
             self.origins.push(Origin { vertices, primitive, tag: shape.tag });
             self.shapes.push(shape);
         }
@@ -422,12 +439,13 @@ impl Kernel for SetUp<'_> {
             // counter-clockwise as seen, since y points down
             let [b, c] = if is_turned { [2, 1] } else { [1, 2] };
             let winding = context.placing.stored_winding() ^ (u32::from(!is_turned) * flags::FRONT);
-            let tag = context.tag.with(winding);
+            let key_range = [farthest[lane], nearest[lane]];
+            let tag = context.tag.with(winding | context.plain(key_range));
             unit.shapes.push(Shape {
                 x: [steps[0][0][lane], steps[0][b][lane], steps[0][c][lane]],
                 y: [steps[1][0][lane], steps[1][b][lane], steps[1][c][lane]],
                 key: [keys[0][lane], keys[1][lane], keys[2][lane]],
-                key_range: [farthest[lane], nearest[lane]],
+                key_range,
                 origin: [floats[0][0][lane], floats[1][0][lane]],
                 pixels: [
                     pixel_u16(pixels[0][lane]),

@@ -57,8 +57,10 @@ fn add(list: &mut DrawList, view: &View, primitive: Primitive, data: Buffers, bl
 }
 
 fn draw(list: &DrawList, view: &View, sample_count: u32) -> Frame {
-    let settings = Settings { sample_count, outputs: ALL, background: Vec4::ZERO };
-    let render = || Renderer::default().render(list, view, &settings, &Job::default());
+    let settings =
+        Settings { sample_count, outputs: ALL, background: Vec4::ZERO, counts_fragments: true };
+    let renderer = || Renderer { max_tile_side: 16, ..Renderer::default() };
+    let render = || renderer().render(list, view, &settings, &Job::default());
     job::run(Some(2), render).expect("valid")
 }
 
@@ -242,8 +244,12 @@ fn blending_follows_paint_order_and_depth_is_where_half_is_reached() {
 #[test]
 fn a_background_shows_through() {
     let view = pixel_view(1, 1);
-    let settings =
-        Settings { sample_count: 1, outputs: ALL, background: Vec4::new(0.25, 0.5, 1.0, 1.0) };
+    let settings = Settings {
+        sample_count: 1,
+        outputs: ALL,
+        background: Vec4::new(0.25, 0.5, 1.0, 1.0),
+        counts_fragments: true,
+    };
     let empty = DrawList::default();
     let frame = Renderer::default().render(&empty, &view, &settings, &Job::default());
     let frame = frame.expect("an empty list is a valid one");
@@ -397,9 +403,15 @@ fn the_same_bytes_on_any_number_of_threads_and_in_batches() {
             item.instances = start..start + 200;
         }
         for sample_count in [4, 16] {
-            let settings = Settings { sample_count, outputs: ALL, background: Vec4::ZERO };
+            let settings = Settings {
+                sample_count,
+                outputs: ALL,
+                background: Vec4::ZERO,
+                counts_fragments: true,
+            };
             let with = |thread_count: usize, max_batch_units: usize| {
-                let mut renderer = Renderer { max_batch_units, ..Renderer::default() };
+                let mut renderer =
+                    Renderer { max_batch_units, max_tile_side: 16, ..Renderer::default() };
                 let draw = || renderer.render(&long, &view, &settings, &Job::default());
                 let mut frame = job::run(Some(thread_count), draw).expect("valid");
                 frame.stats = super::Stats::default();
@@ -437,8 +449,19 @@ fn fragments_are_pixels_of_which_a_sample_is_covered() {
                 add(&mut list, &view, primitive, data.clone(), blend);
                 let frame = draw(&list, &view, sample_count);
                 let shown = frame.color.iter().filter(|pixel| pixel.w > 0.0).count() as u64;
-                let counted = frame.stats.fragment_count;
+                let counted = frame.stats.fragment_count.expect("asked for");
                 assert_eq!(counted, shown, "{primitive:?}, {blend:?}, {sample_count} samples");
+                let settings = Settings {
+                    sample_count,
+                    outputs: ALL,
+                    background: Vec4::ZERO,
+                    counts_fragments: false,
+                };
+                let uncounted =
+                    Renderer::default().render(&list, &view, &settings, &Job::default());
+                let uncounted = uncounted.expect("valid");
+                assert_eq!(uncounted.stats.fragment_count, None, "not asked for");
+                assert_eq!(uncounted.color, frame.color, "the same picture, in larger tiles");
             }
         }
     }
@@ -452,7 +475,12 @@ fn sizes_that_no_picture_has_are_refused() {
             let mut list = DrawList::default();
             let data = buffers(&[[1.0, 1.0, 0.0], [2.0, 2.0, 0.0]], &[0, 1]);
             add(&mut list, &view, primitive, data, Blend::Opaque);
-            let settings = Settings { sample_count: 1, outputs: ALL, background: Vec4::ZERO };
+            let settings = Settings {
+                sample_count: 1,
+                outputs: ALL,
+                background: Vec4::ZERO,
+                counts_fragments: true,
+            };
             let drawn = Renderer::default().render(&list, &view, &settings, &Job::default());
             let text = drawn.expect_err("refused").to_string();
             assert!(text.contains("pixels are not in (0, 16384]"), "{primitive:?}: {text}");
@@ -466,7 +494,12 @@ fn the_same_bytes_at_every_level() {
     for (seed, view) in (20..).zip(soup_views().iter().cycle()).take(8) {
         let list = soup(seed, view);
         for sample_count in [1, 4, 8, 16, 21] {
-            let settings = Settings { sample_count, outputs: ALL, background: Vec4::ZERO };
+            let settings = Settings {
+                sample_count,
+                outputs: ALL,
+                background: Vec4::ZERO,
+                counts_fragments: true,
+            };
             let frames = levels.iter().map(|&level| {
                 let mut renderer = Renderer::with_simd(level);
                 renderer.render(&list, view, &settings, &Job::default()).expect("valid")
@@ -487,7 +520,8 @@ fn the_same_bytes_at_every_level() {
 #[test]
 fn a_renderer_can_be_used_again() {
     let mut renderer = Renderer::default();
-    let settings = Settings { sample_count: 4, outputs: ALL, background: Vec4::ZERO };
+    let settings =
+        Settings { sample_count: 4, outputs: ALL, background: Vec4::ZERO, counts_fragments: true };
     let [first_view, other_view] = soup_views();
     let mut first = None;
     for view in [&first_view, &other_view, &first_view] {
@@ -511,7 +545,8 @@ fn a_renderer_can_be_used_again() {
 #[test]
 fn a_cancelled_picture_is_an_error() {
     let view = pixel_view(4, 4);
-    let settings = Settings { sample_count: 1, outputs: ALL, background: Vec4::ZERO };
+    let settings =
+        Settings { sample_count: 1, outputs: ALL, background: Vec4::ZERO, counts_fragments: true };
     let job = Job::default();
     job.cancel();
     let result = Renderer::default().render(&soup(1, &view), &view, &settings, &job);

@@ -11,8 +11,9 @@ use crate::raster::colors::{Colors, Known};
 use crate::raster::coverage::Lanes;
 use crate::raster::frame::{EMPTY_ID, Outputs};
 use crate::raster::grid::Grid;
+use crate::raster::plain::Plain;
 use crate::raster::samples::{SUBPIXEL_COUNT, SamplePosition};
-use crate::raster::setup::{Shape, Unit};
+use crate::raster::setup::{Shape, Unit, flags};
 use crate::raster::shade::{Material, Weigher};
 use crate::raster::visible::{Sample, Sink, Visible, bits, index};
 use crate::simd::{LANE_COUNT, Level};
@@ -39,6 +40,8 @@ pub(crate) struct Scene<'a, const S: usize> {
     offsets: [Vec2; S],
     /// Which of colour, albedo and normal are wanted.
     pub(crate) layers: [bool; 3],
+    /// Whether to count the pixels that shapes cover.
+    pub(crate) counts_fragments: bool,
 }
 
 /// Samples of one tile; index = pixel in the tile * S + sample.
@@ -84,7 +87,9 @@ impl<'a, const S: usize> Scene<'a, S> {
         let step = 1.0 / SUBPIXEL_COUNT as f32;
         let offsets = samples.map(|[x, y]| Vec2::new(x as f32, y as f32) * step);
         let layers = [outputs.color, outputs.albedo, outputs.normal];
-        Self { level, list, view, units, grid, lanes: Lanes::new(samples), offsets, layers }
+        let lanes = Lanes::new(samples);
+        let counts_fragments = false;
+        Self { level, list, view, units, grid, lanes, offsets, layers, counts_fragments }
     }
 
     /// Whether no shape of the batch touches a tile.
@@ -205,8 +210,16 @@ impl TileBuffer {
         let tile_box = scene.grid.tile_box(tile);
         let mut at_hand: Option<Style<'_>> = None;
         for (unit_index, unit) in (0_u32..).zip(scene.units) {
-            for &index in unit.shapes_in(tile) {
+            let mut left = unit.shapes_in(tile);
+            while let [index, rest @ ..] = left {
+                let index = *index;
                 let shape = &unit.shapes[index as usize];
+                if shape.tag.has(flags::PLAIN) {
+                    let done = self.draw_plain(scene, tile_box, unit_index, left);
+                    left = &left[done..];
+                    continue;
+                }
+                left = rest;
                 if !at_hand.as_ref().is_some_and(|style| style.fits(unit_index, shape)) {
                     at_hand = Some(Style::new(scene, unit_index, shape));
                 }
@@ -222,6 +235,31 @@ impl TileBuffer {
                 }
             }
         }
+    }
+
+    /// Draws chosen shapes of a unit up to the first that is not plain; how many.
+    fn draw_plain<const S: usize>(
+        &mut self,
+        scene: &Scene<'_, S>,
+        tile_box: [i32; 4],
+        unit: u32,
+        chosen: &[u32],
+    ) -> usize {
+        self.any_waiting = true;
+        let Self { keys, waiting, .. } = self;
+        let (done, fragment_count) = scene.level.run(Plain {
+            lanes: &scene.lanes,
+            shapes: &scene.units[unit as usize].shapes,
+            chosen,
+            first_reference: unit << SHAPE_BITS,
+            tile_box,
+            side: scene.grid.tile,
+            keys,
+            waiting,
+            counts_fragments: scene.counts_fragments,
+        });
+        self.fragment_count += fragment_count;
+        done
     }
 
     fn draw_opaque<const S: usize>(&mut self, scene: &Scene<'_, S>, target: &Target<'_>) {

@@ -5,6 +5,7 @@ use fearless_simd::{f32x8, mask32x8, u32x8};
 use glam::Vec2;
 
 use crate::raster::coverage::{Before, Covered, Lanes, covered};
+use crate::raster::grid::PixelBox;
 use crate::raster::setup::Shape;
 use crate::simd::{Kernel, LANE_COUNT};
 
@@ -65,56 +66,15 @@ impl Visible<'_, '_> {
     #[inline(always)]
     fn draw<S: Simd, const BLOCKS: usize>(self, simd: S) -> u64 {
         let Self { lanes, shape, tile_box, side, slab_keys, dither, keys, mut sink } = self;
-        let [x0, y0, x1, y1] = shape.pixels.map(i32::from);
-        let pixels = [
-            x0.max(tile_box[0]),
-            y0.max(tile_box[1]),
-            x1.min(tile_box[2].wrapping_sub(1)),
-            y1.min(tile_box[3].wrapping_sub(1)),
-        ];
-        // most shapes lie in the slab as a whole
         let (lowest, highest) = slab_keys;
-        let whole = shape.key_range[0] > lowest && shape.key_range[1] <= highest;
-        let farthest = f32x8::splat(simd, shape.key_range[0]);
-        let nearest = f32x8::splat(simd, shape.key_range[1]);
+        let pixels = pixels_in(shape, tile_box);
         let left = pixels[0].wrapping_sub(tile_box[0]);
         let first =
             index(left, pixels[1].wrapping_sub(tile_box[1]), side).wrapping_mul(lanes.sample_count);
-        let depth = Depth { lanes, shape, farthest, nearest };
+        let depth = Depth::new(simd, lanes, shape);
         let row = index(0, 1, side);
         let mut count = 0_u64;
         let mut before = Before::default();
-        if let Sink::Store { waiting, reference, write: true } = &mut sink
-            && whole
-            && dither.is_none()
-        {
-            let reference = u32x8::splat(simd, *reference);
-            let nothing = f32x8::splat(simd, f32::NEG_INFINITY);
-            covered::<S, BLOCKS, true>(
-                simd,
-                lanes,
-                shape,
-                pixels,
-                row,
-                #[inline(always)]
-                |hit| {
-                    count = count.wrapping_add(lanes.pixel_count(&hit, &mut before));
-                    let at = first.wrapping_add(hit.at);
-                    let stored = &mut keys[at..at.wrapping_add(LANE_COUNT)];
-                    let key = depth.keys(simd, &hit);
-                    let old = f32x8::from_slice(simd, stored);
-                    let key = hit.inside.select(key, nothing);
-                    let front = key.simd_gt(old);
-                    // not `front.select(key, old)`: that becomes a masked store, which is slow on
-                    // some processors
-                    key.max(old).store_slice(stored);
-                    let waiting = &mut waiting[at..at.wrapping_add(LANE_COUNT)];
-                    let old = u32x8::from_slice(simd, waiting);
-                    front.select(reference, old).store_slice(waiting);
-                },
-            );
-            return count;
-        }
         covered::<S, BLOCKS, false>(
             simd,
             lanes,
@@ -168,17 +128,36 @@ impl Visible<'_, '_> {
     }
 }
 
+/// A shape's pixels in a tile: x0, y0, x1, y1, ends inclusive.
+#[inline(always)]
+pub(crate) fn pixels_in(shape: &Shape, tile_box: [i32; 4]) -> PixelBox {
+    let [x0, y0, x1, y1] = shape.pixels.map(i32::from);
+    [
+        x0.max(tile_box[0]),
+        y0.max(tile_box[1]),
+        x1.min(tile_box[2].wrapping_sub(1)),
+        y1.min(tile_box[3].wrapping_sub(1)),
+    ]
+}
+
 /// A shape's plane of depth keys, within those of its corners.
-struct Depth<'a, S: Simd> {
+pub(crate) struct Depth<'a, S: Simd> {
     lanes: &'a Lanes,
     shape: &'a Shape,
     farthest: f32x8<S>,
     nearest: f32x8<S>,
 }
 
-impl<S: Simd> Depth<'_, S> {
+impl<'a, S: Simd> Depth<'a, S> {
     #[inline(always)]
-    fn keys(&self, simd: S, hit: &Covered<S>) -> f32x8<S> {
+    pub(crate) fn new(simd: S, lanes: &'a Lanes, shape: &'a Shape) -> Self {
+        let [farthest, nearest] = shape.key_range;
+        let (farthest, nearest) = (f32x8::splat(simd, farthest), f32x8::splat(simd, nearest));
+        Self { lanes, shape, farthest, nearest }
+    }
+
+    #[inline(always)]
+    pub(crate) fn keys(&self, simd: S, hit: &Covered<S>) -> f32x8<S> {
         let [at_origin, slope_x, slope_y] = self.shape.key;
         let [x, y] = self.shape.origin;
         let from_x = (self.lanes.pixels(simd, hit.block, 0) + hit.x as f32) - x;

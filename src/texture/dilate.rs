@@ -32,34 +32,42 @@ pub fn dilated(image: &LinearImage, check: &Check<'_>) -> Result<Image, LodError
         let halved = last.halved();
         coarser.push(halved);
     }
+    // where each column of the image lies on every coarser level
+    let columns: Vec<Vec<usize>> = coarser
+        .iter()
+        .map(|level| (0..image.width).map(|x| place(x, level.width, image.width)).collect())
+        .collect();
     let width = image.width as usize;
     let mut texels = vec![[0; 4]; image.texels.len()];
-    texels.par_chunks_mut(width).zip(0..image.height).try_for_each(|(row, y)| {
+    let rows =
+        texels.par_chunks_mut(width).zip(image.texels.par_chunks(width)).zip(0..image.height);
+    rows.try_for_each(|((row, finest), y)| {
         check()?;
-        for (texel, x) in row.iter_mut().zip(0..) {
-            let [r, g, b] = color_at(image, &coarser, x, y).to_array().map(srgb8_from_linear);
-            *texel = [r, g, b, unorm8(image.texel(x, y).w)];
+        let coarser_rows: Vec<(&[Vec4], &[usize])> = coarser
+            .iter()
+            .zip(&columns)
+            .map(|(level, columns)| {
+                let start = place(y, level.height, image.height) * level.width as usize;
+                (&level.texels[start..start + level.width as usize], &columns[..])
+            })
+            .collect();
+        for (x, (texel, finest)) in row.iter_mut().zip(finest).enumerate() {
+            let above = || coarser_rows.iter().map(|(row, columns)| row[columns[x]]);
+            // the finest level that has a colour here
+            let seen = if finest.w > 0.0 { Some(*finest) } else { above().find(|t| t.w > 0.0) };
+            let color = seen.map_or(Vec3::ZERO, |seen| seen.xyz() / seen.w);
+            let [r, g, b] = color.to_array().map(srgb8_from_linear);
+            *texel = [r, g, b, unorm8(finest.w)];
         }
         Ok(())
     })?;
     Ok(Image { width: image.width, height: image.height, texels })
 }
 
-/// Straight colour of the finest level that has one above a texel; black if none has.
-fn color_at(base: &LinearImage, coarser: &[LinearImage], x: u32, y: u32) -> Vec3 {
-    let place = |at: u32, size: u32, base_size: u32| {
-        let inside = u64::from(at) * u64::from(size) / u64::from(base_size);
-        u32::try_from(inside).expect("inside")
-    };
-    for level in std::iter::once(base).chain(coarser) {
-        // the level's texel that lies over this one
-        let column = place(x, level.width, base.width);
-        let texel: Vec4 = level.texel(column, place(y, level.height, base.height));
-        if texel.w > 0.0 {
-            return texel.xyz() / texel.w;
-        }
-    }
-    Vec3::ZERO
+/// The column or row of a level that lies over one of its base.
+fn place(at: u32, size: u32, base_size: u32) -> usize {
+    let inside = u64::from(at) * u64::from(size) / u64::from(base_size);
+    usize::try_from(inside).expect("inside")
 }
 
 #[cfg(test)]

@@ -32,6 +32,17 @@ impl LinearImage {
         let width = (self.width / 2).max(1);
         let height = (self.height / 2).max(1);
         let mut texels = Vec::with_capacity(width as usize * height as usize);
+        if self.width == 2 * width && self.height == 2 * height {
+            // as below, where every share is a half
+            for rows in self.texels.chunks_exact(2 * self.width as usize) {
+                let (upper, lower) = rows.split_at(self.width as usize);
+                let pairs = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
+                texels.extend(pairs.map(|([a, b], [c, d])| {
+                    Vec4::ZERO + *a * 0.25 + *b * 0.25 + *c * 0.25 + *d * 0.25
+                }));
+            }
+            return Self { width, height, texels };
+        }
         let columns: Vec<_> = (0..width).map(|x| shares(x, width, self.width)).collect();
         for y in 0..height {
             let rows = shares(y, height, self.height);

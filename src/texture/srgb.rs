@@ -28,40 +28,45 @@ pub fn srgb_from_linear(linear: f64) -> f64 {
     }
 }
 
-/// Smallest linear value that rounds to each 8-bit code, so that encoding is a search.
-static CODE_STARTS: LazyLock<[f32; 256]> = LazyLock::new(|| {
-    std::array::from_fn(|code| {
-        if code == 0 {
-            return f32::NEG_INFINITY;
-        }
-        #[expect(clippy::cast_possible_truncation, reason = "a table in f32")]
-        let start = linear_from_srgb((code as f64 - 0.5) / 255.0) as f32;
-        start
-    })
-});
+/// Steps of linear values from which [`Encoder`] guesses: codes lie further apart than these.
+const GUESS_COUNT: usize = 4096;
 
-/// First guesses for [`srgb8_from_linear`]: the code of `i / 4096`.
-static FIRST_CODES: LazyLock<[u8; 4097]> = LazyLock::new(|| {
-    std::array::from_fn(|i| {
-        let linear = i as f32 / 4096.0;
-        let code = CODE_STARTS.partition_point(|&start| start <= linear) - 1;
+/// What encoding needs to look up.
+struct Encoder {
+    /// Smallest linear value that rounds to each code; nothing reaches the one after the last.
+    starts: [f32; 257],
+    /// Code of each step's start. No step holds the starts of two codes.
+    guesses: [u8; GUESS_COUNT + 1],
+}
+
+static ENCODER: LazyLock<Encoder> = LazyLock::new(|| {
+    let mut starts = [f32::INFINITY; 257];
+    starts[0] = f32::NEG_INFINITY;
+    for (code, start) in starts.iter_mut().enumerate().take(256).skip(1) {
+        #[expect(clippy::cast_possible_truncation, reason = "a table in f32")]
+        let linear = linear_from_srgb((code as f64 - 0.5) / 255.0) as f32;
+        *start = linear;
+    }
+    let guesses = std::array::from_fn(|step| {
+        let linear = step as f32 / GUESS_COUNT as f32;
+        let code = starts.partition_point(|&start| start <= linear) - 1;
         u8::try_from(code).expect("256 codes fit in u8")
-    })
+    });
+    Encoder { starts, guesses }
 });
 
 /// Nearest 8-bit sRGB code of a linear value; below 0 is 0, above 1 is 255, NaN is 0.
 pub fn srgb8_from_linear(linear: f32) -> u8 {
+    let steps = GUESS_COUNT as f32;
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
-        reason = "clamped to [0, 4096]"
+        reason = "clamped to the guesses"
     )]
-    let bucket = (linear * 4096.0).clamp(0.0, 4096.0) as usize;
-    let mut code = FIRST_CODES[bucket];
-    while code < 255 && CODE_STARTS[usize::from(code) + 1] <= linear {
-        code += 1;
-    }
-    code
+    let step = (linear * steps).clamp(0.0, steps) as usize;
+    let Encoder { starts, guesses } = &*ENCODER;
+    let guess = guesses[step];
+    guess.wrapping_add(u8::from(starts[usize::from(guess) + 1] <= linear))
 }
 
 /// Nearest 8-bit code of a value in [0, 1] that is stored without a transfer function.
@@ -80,6 +85,10 @@ mod tests {
         for code in 0..=255_u8 {
             let linear = LINEAR_FROM_SRGB8[usize::from(code)];
             assert_eq!(srgb8_from_linear(linear), code, "code {code}");
+        }
+        for (code, &start) in (0..255).zip(&ENCODER.starts[1..256]) {
+            assert_eq!(srgb8_from_linear(start), code + 1, "where code {code} ends");
+            assert_eq!(srgb8_from_linear(start.next_down()), code, "just before");
         }
         assert_eq!(srgb8_from_linear(-1.0), 0, "below the range");
         assert_eq!(srgb8_from_linear(2.0), 255, "above the range");

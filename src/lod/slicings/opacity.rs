@@ -120,8 +120,12 @@ impl Slicings {
             Crown { world_from_local: DAffine3::IDENTITY, distance: 0.0, rank: 0, key: (0, 0) };
         let mut builder = ListBuilder::default();
         self.emit_slices(&view, &crown, &mut builder)?;
-        let settings =
-            Settings { sample_count: 1, outputs: Outputs::COLOR, background: Vec4::ZERO };
+        let settings = Settings {
+            sample_count: 1,
+            outputs: Outputs::COLOR,
+            background: Vec4::ZERO,
+            counts_fragments: false,
+        };
         let frame = Renderer::default().render(&builder.finish(), &view, &settings, job)?;
         let sum: f64 = frame.color.iter().map(|pixel| f64::from(pixel.w)).sum();
         Ok(sum / frame.color.len() as f64)

@@ -64,6 +64,11 @@ impl Layout {
         slice
     }
 
+    /// Whether what lies between two offsets is longer than the spacing.
+    fn is_exceeded_by(&self, (low, high): (f64, f64)) -> bool {
+        self.count > 1 && high - low > self.spacing * (1.0 + TIE)
+    }
+
     /// Offsets between which a slice owns cut leaves; the outermost reach to infinity.
     pub(super) fn slab(&self, slice: usize) -> (f64, f64) {
         let low =
@@ -152,8 +157,7 @@ impl<'a> Crowned<'a> {
 
     /// Whether a leaf is longer than the spacing along a layout's direction.
     pub(super) fn is_large(&self, leaf: usize, layout: &Layout) -> bool {
-        let (low, high) = self.extent(leaf, layout.toward);
-        layout.count > 1 && high - low > layout.spacing * (1.0 + TIE)
+        layout.is_exceeded_by(self.extent(leaf, layout.toward))
     }
 
     /// The rectangle through the centre that encloses every leaf as seen along a layout's direction.
@@ -183,8 +187,8 @@ impl<'a> Crowned<'a> {
         let placed: Vec<(bool, usize, usize)> = (0..self.leaf_centers.len())
             .into_par_iter()
             .map(|leaf| {
-                if self.is_large(leaf, &layout) {
-                    let (low, high) = self.extent(leaf, layout.toward);
+                let (low, high) = self.extent(leaf, layout.toward);
+                if layout.is_exceeded_by((low, high)) {
                     // wider than it is, since slabs are cut at f32 depths of up to 8 radii
                     let margin = layout.spacing * 1e-3 + self.radius * 1e-5;
                     (true, layout.nearest(low - margin), layout.nearest(high + margin))
@@ -209,8 +213,10 @@ impl<'a> Crowned<'a> {
             triangle: usize,
             cut: bool,
             blended: bool,
-            /// How near to the viewer.
-            height: f64,
+            /// By how near to the viewer.
+            rank: i64,
+            /// Among those that were assigned.
+            place: usize,
         }
         let mesh = &self.plant.foliage.mesh;
         let material_of = |t: usize| &self.plant.materials[self.materials[t] as usize];
@@ -219,20 +225,21 @@ impl<'a> Crowned<'a> {
             .flat_map(|&Placed { leaf, cut }| {
                 self.plant.foliage.triangles_of(leaf).map(move |triangle| (triangle, cut))
             })
-            .map(|(triangle, cut)| {
+            .enumerate()
+            .map(|(place, (triangle, cut))| {
                 let blended = blend_of(material_of(triangle)) == Blend::Over;
                 let corners = mesh.corners(triangle);
-                let height = corners.iter().map(|p| p.as_dvec3().dot(view.back)).sum();
-                Drawn { triangle, cut, blended, height }
+                let height: f64 = corners.iter().map(|p| p.as_dvec3().dot(view.back)).sum();
+                // in the order of `total_cmp`
+                let bits = height.to_bits().cast_signed();
+                let upwards = bits ^ ((bits >> 63).cast_unsigned() >> 1).cast_signed();
+                let rank = if blended { upwards } else { !upwards };
+                Drawn { triangle, cut, blended, rank, place }
             })
             .collect();
         // blended triangles after the others and far to near; the others near to far, so that what
         // they hide needs no alpha test
-        drawn.sort_by(|a, b| {
-            let by_height = a.height.total_cmp(&b.height);
-            let order = if a.blended { by_height } else { by_height.reverse() };
-            a.blended.cmp(&b.blended).then(order)
-        });
+        drawn.sort_unstable_by_key(|drawn| (drawn.blended, drawn.rank, drawn.place));
         let mut list = DrawList::default();
         let source = list.geometry(&self.geometry);
         let instances = list.instance(Instance::new(&DAffine3::IDENTITY, view));

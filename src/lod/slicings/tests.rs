@@ -131,8 +131,12 @@ fn emit(lod: &dyn Representation, view: &View, crowns: &[Crown]) -> DrawList {
 
 fn draw(lod: &dyn Representation, view: &View) -> Frame {
     let list = emit(lod, view, &[crown_at(DAffine3::from_translation(lod.origin()), 0)]);
-    let settings =
-        Settings { sample_count: 4, outputs: Outputs::COLOR_DEPTH, background: Vec4::ZERO };
+    let settings = Settings {
+        sample_count: 4,
+        outputs: Outputs::COLOR_DEPTH,
+        background: Vec4::ZERO,
+        counts_fragments: false,
+    };
     let frame = Renderer::default().render(&list, view, &settings, &Job::default());
     frame.expect("valid")
 }

@@ -80,7 +80,8 @@ impl Unit {
             let Some(pixels) = context.grid.pixel_box(low, high) else { continue };
             let source = vertex.source as usize;
             let side = placing.side_seen(buffers.positions[source], buffers.normals[source]);
-            let tag = context.tag.with(flags::RECT | side);
+            let plain = context.plain([vertex.key; 2]);
+            let tag = context.tag.with(flags::RECT | side | plain);
             self.shapes.push(Shape {
                 x: [low[0], high[0], 0],
                 y: [low[1], high[1], 0],

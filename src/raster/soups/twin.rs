@@ -400,8 +400,10 @@ pub(super) fn draw(
         slab: None,
     });
     let outputs = Outputs { ids: true, ..Outputs::COLOR_DEPTH };
-    let settings = Settings { sample_count, outputs, background: Vec4::ZERO };
-    let render = || Renderer::default().render(&list, view, &settings, &Job::default());
+    let settings =
+        Settings { sample_count, outputs, background: Vec4::ZERO, counts_fragments: false };
+    let renderer = || Renderer { max_tile_side: 16, ..Renderer::default() };
+    let render = || renderer().render(&list, view, &settings, &Job::default());
     job::run(Some(2), render).expect("a valid list")
 }
 
