@@ -120,16 +120,40 @@ pub fn finish(
     format: Format,
     job: &Job,
 ) -> Result<Arc<Texture>, LodError> {
+    stored(levels(image, keep, format, job)?, format)
+}
+
+/// The levels of a bake, dilated and encoded.
+///
+/// # Errors
+/// As [`finish`].
+pub fn levels(
+    image: &LinearImage,
+    keep: Keep,
+    format: Format,
+    job: &Job,
+) -> Result<Vec<Image>, LodError> {
     let check = || job.check();
     let mut levels = mips::levels(dilated(image, &check)?, keep, &check)?;
-    if format == Format::Rgba8 {
-        return Ok(Texture::new(levels)?.decoded_ahead());
+    if format == Format::Rgb5a1 {
+        for level in &mut levels {
+            level.texels.iter_mut().for_each(|texel| *texel = rgb5a1(*texel));
+        }
     }
-    for level in &mut levels {
-        level.texels.iter_mut().for_each(|texel| *texel = rgb5a1(*texel));
-    }
-    let texel_count: u64 = levels.iter().map(|level: &Image| level.texels.len() as u64).sum();
-    Ok(Texture::with_byte_count(levels, texel_count * 2)?.decoded_ahead())
+    Ok(levels)
+}
+
+/// A texture of encoded levels, which knows the bytes of their format.
+///
+/// # Errors
+/// If a level has a size that it should not have.
+pub fn stored(levels: Vec<Image>, format: Format) -> Result<Arc<Texture>, LodError> {
+    let texel_count: u64 = levels.iter().map(|level| level.texels.len() as u64).sum();
+    let texel_bytes = match format {
+        Format::Rgba8 => 4,
+        Format::Rgb5a1 => 2,
+    };
+    Ok(Texture::with_byte_count(levels, texel_count * texel_bytes)?.decoded_ahead())
 }
 
 /// The nearest texel that five bits a colour and one of alpha can hold.

@@ -25,6 +25,7 @@ use crate::bake::{BakeRect, Format, bake, finish};
 use crate::draw_list::{Blend, Buffers, Geometry, Item, Primitive, Surface};
 use crate::error::{LodError, check_in, check_limit};
 use crate::job::Job;
+use crate::lod::leaves::Leaves;
 use crate::lod::solid::Solid;
 use crate::lod::view_blend::ViewBlend;
 use crate::lod::wood::Wood;
@@ -37,7 +38,7 @@ use crate::texture::{Filter, Sampler, Texture, Wrap};
 use crate::view::View;
 use crate::view_state::ViewState;
 use opacity::{Opacity, SilhouetteAlpha};
-use slabs::{Crowned, Layout};
+use slabs::Layout;
 
 /// An eye nearer to the centre than this share of the radius sees along its own direction.
 const INSIDE: f64 = 1e-3;
@@ -174,16 +175,16 @@ impl Slicings {
             check_in("correction", m, 0.0..=1e6)?;
         }
         samples::positions(params.sample_count)?;
-        let crowned = Crowned::new(plant)?;
+        let leaves = Leaves::new(plant)?;
         let layouts: Vec<Layout> = params
             .blend
             .directions()
             .iter()
             .map(|&toward| {
-                Layout::new(toward, &crowned.leaf_centers, params.slice_count, crowned.radius)
+                Layout::new(toward, &leaves.leaf_centers, params.slice_count, leaves.radius)
             })
             .collect();
-        let resolutions = needed_resolutions(&crowned, &layouts, params, job)?;
+        let resolutions = needed_resolutions(&leaves, &layouts, params, job)?;
         if params.correction == Correction::Fit && resolutions.contains(&None) {
             let why = "'fit' needs all slicings, and these views leave some out".to_owned();
             return Err(LodError::Invalid { name: "correction", why });
@@ -194,7 +195,7 @@ impl Slicings {
         };
         check_limit("resolution", baked().map(texels).sum(), MAX_TOTAL_TEXELS, "texels")?;
         job.begin(baked().map(|(layout, _)| layout.count as u64).sum());
-        let (in_mesh, large_leaf_count) = large_leaves(&crowned, &layouts, params, job)?;
+        let (in_mesh, large_leaf_count) = large_leaves(&leaves, &layouts, params, job)?;
         let wood = params.wood.of(plant)?;
         let renderers: Mutex<Vec<Renderer>> = Mutex::default();
         let mut slicings = Vec::new();
@@ -206,10 +207,10 @@ impl Slicings {
                 continue;
             };
             job.check()?;
-            let assignment = crowned.assign(*layout, &in_mesh);
+            let assignment = layout.assign(&leaves, &in_mesh);
             let view = assignment.rect.view(resolution)?;
             let draw = |slice: usize| {
-                let list = crowned.list(&view, &assignment, slice);
+                let list = leaves.list(&view, &assignment.leaves[slice], assignment.slab(slice));
                 let idle = || renderers.lock().unwrap_or_else(PoisonError::into_inner);
                 let mut renderer = idle().pop().unwrap_or_default();
                 let image = bake(&mut renderer, &list, &view, params.sample_count, job)?;
@@ -243,7 +244,7 @@ impl Slicings {
             slicings.push(Some(slices));
         }
         let tau = alpha.tau();
-        let (large, large_ids) = leaves_mesh(&crowned, &in_mesh);
+        let (large, large_ids) = leaves_mesh(&leaves, &in_mesh);
         let meshes = [(&wood, Buffers::ids_from(0, &wood)), (&large, large_ids)];
         let of_mesh = |mesh: &Mesh| mesh.bounds().map(|(low, high)| [low, high]);
         let boxes = [&plant.foliage.mesh, &wood].into_iter().filter_map(of_mesh).flatten();
@@ -257,8 +258,8 @@ impl Slicings {
             cards: Geometry::new(cards),
             solid: Solid::new(&meshes, &plant.materials, Filter::Bilinear),
             opacity: Opacity::Optical { tau },
-            center: crowned.center,
-            radius: crowned.radius,
+            center: leaves.center,
+            radius: leaves.radius,
             bounds,
             origin: plant.origin,
         };
@@ -378,18 +379,18 @@ impl Viewer {
 /// Which leaves stay in the mesh, and how many are longer than a spacing, summed over slicings. A leaf
 /// that is too long for one slicing stays there for all, or views between two would draw it twice.
 fn large_leaves(
-    crowned: &Crowned<'_>,
+    leaves: &Leaves<'_>,
     layouts: &[Layout],
     params: &Params,
     job: &Job,
 ) -> Result<(Vec<bool>, usize), LodError> {
-    let mut large_in = vec![0_usize; crowned.leaf_centers.len()];
+    let mut large_in = vec![0_usize; leaves.leaf_centers.len()];
     for layout in layouts {
         job.check()?;
         large_in
             .par_iter_mut()
             .enumerate()
-            .for_each(|(leaf, count)| *count += usize::from(crowned.is_large(leaf, layout)));
+            .for_each(|(leaf, count)| *count += usize::from(layout.is_large(leaves, leaf)));
     }
     let to_mesh = params.large_leaves == LargeLeaves::Mesh;
     let in_mesh = large_in.iter().map(|&count| to_mesh && count > 0).collect();
@@ -397,8 +398,8 @@ fn large_leaves(
 }
 
 /// The leaves that stay in the mesh, with the plant's own ids of their triangles.
-fn leaves_mesh(crowned: &Crowned<'_>, in_mesh: &[bool]) -> (Mesh, Vec<u32>) {
-    let foliage = &crowned.plant.foliage;
+fn leaves_mesh(leaves: &Leaves<'_>, in_mesh: &[bool]) -> (Mesh, Vec<u32>) {
+    let foliage = &leaves.plant.foliage;
     if !in_mesh.contains(&true) {
         return (Mesh::default(), Vec::new());
     }
@@ -406,8 +407,8 @@ fn leaves_mesh(crowned: &Crowned<'_>, in_mesh: &[bool]) -> (Mesh, Vec<u32>) {
         .filter(|&leaf| in_mesh[leaf])
         .flat_map(|leaf| foliage.triangles_of(leaf))
         .collect();
-    let material_ids: Vec<u32> = kept.iter().map(|&t| crowned.materials[t]).collect();
-    let first = crowned.plant.wood.triangles.len();
+    let material_ids: Vec<u32> = kept.iter().map(|&t| leaves.materials[t]).collect();
+    let first = leaves.plant.wood.triangles.len();
     let id = |&t: &usize| u32::try_from(first + t).expect("checked by the plant");
     let mesh = Mesh {
         triangles: kept.iter().map(|&t| foliage.mesh.triangles[t]).collect(),
@@ -419,7 +420,7 @@ fn leaves_mesh(crowned: &Crowned<'_>, in_mesh: &[bool]) -> (Mesh, Vec<u32>) {
 
 /// Texels of each slicing: those of the nearest view that shows it, `None` if no view does.
 fn needed_resolutions(
-    crowned: &Crowned<'_>,
+    leaves: &Leaves<'_>,
     layouts: &[Layout],
     params: &Params,
     job: &Job,
@@ -432,13 +433,13 @@ fn needed_resolutions(
         return Err(LodError::Empty { name: "views", why });
     }
     // placed as a scene places a single copy, so that both come to the same shares
-    let world_from_local = DAffine3::from_translation(crowned.plant.origin);
+    let world_from_local = DAffine3::from_translation(leaves.plant.origin);
     let crown = Crown { world_from_local, distance: 0.0, rank: 0, key: (0, 0) };
     let mut needed: Vec<Option<f64>> = vec![None; layouts.len()];
     for view in views {
-        let viewer = Viewer::new(view, &crown, crowned.center, crowned.radius);
+        let viewer = Viewer::new(view, &crown, leaves.center, leaves.radius);
         let from_eye = viewer.eye.map_or(0.0, DVec3::length);
-        let nearest = (from_eye - crowned.radius).max(view.near);
+        let nearest = (from_eye - leaves.radius).max(view.near);
         let per_metre = 1.0 / view.pixel_size_at(nearest);
         for (number, _) in viewer.shares(&params.blend) {
             let most = needed[number].get_or_insert(0.0);
@@ -456,7 +457,7 @@ fn needed_resolutions(
         .map(|(layout, per_metre)| {
             job.check()?;
             let Some(per_metre) = per_metre else { return Ok(None) };
-            let rect = crowned.rect(layout);
+            let rect = layout.rect(leaves);
             Ok(Some((
                 texels(per_metre, rect.width, params.resolution.0),
                 texels(per_metre, rect.height, params.resolution.1),

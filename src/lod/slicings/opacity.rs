@@ -4,10 +4,10 @@
 use glam::{DAffine3, DVec3, Vec4};
 use rayon::prelude::*;
 
-use super::slabs::LEAST_SIZE;
 use super::{Correction, Slicings};
 use crate::error::LodError;
 use crate::job::Job;
+use crate::lod::leaves::LEAST_SIZE;
 use crate::lod::view_blend::{circle, sphere};
 use crate::lod::{Crown, ListBuilder};
 use crate::raster::{Outputs, Renderer, Settings};
