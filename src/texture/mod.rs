@@ -1,11 +1,15 @@
 //! Textures: stored as 8-bit sRGB with straight alpha, filtered linear and premultiplied.
 
+pub(crate) mod alpha_bounds;
+pub mod atlas;
 pub mod dilate;
+pub mod distribution;
 pub mod linear;
 pub mod mips;
 pub mod srgb;
 #[expect(clippy::module_inception, reason = "the file is named for the type it holds")]
 pub mod texture;
 
+pub use distribution::Distribution;
 pub use linear::LinearImage;
 pub use texture::{Filter, Image, Sampler, Texture, Wrap};

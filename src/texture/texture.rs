@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::{Vec2, Vec4};
 
 use crate::error::{LodError, check_in, check_limit};
+use crate::texture::alpha_bounds::AlphaBounds;
 use crate::texture::srgb::LINEAR_FROM_SRGB8;
 
 /// Largest side of a texture.
@@ -102,6 +103,7 @@ pub struct Texture {
     levels: Vec<Image>,
     /// The levels' texels decoded, for textures that are read often: the same numbers, sooner.
     decoded: Vec<Vec<Vec4>>,
+    alpha_bounds: Option<AlphaBounds>,
     byte_count: u64,
 }
 
@@ -136,7 +138,8 @@ impl Texture {
             size = ((size.0 / 2).max(1), (size.1 / 2).max(1));
         }
         let id = NEXT_ID.fetch_add(1, Ordering::Relaxed);
-        Ok(Arc::new(Self { id, levels, decoded: Vec::new(), byte_count }))
+        let (decoded, alpha_bounds) = (Vec::new(), None);
+        Ok(Arc::new(Self { id, levels, decoded, alpha_bounds, byte_count }))
     }
 
     /// The same texture with its texels decoded ahead, unless it is larger than
@@ -150,6 +153,21 @@ impl Texture {
         let decode_level = |level: &Image| level.texels.iter().map(|&t| decode(t)).collect();
         let decoded = self.levels.iter().map(decode_level).collect();
         Arc::new(Self { decoded, ..Arc::unwrap_or_clone(self) })
+    }
+
+    /// The same texture, ready to be tested against its alpha often.
+    #[must_use]
+    pub fn bounded(self: Arc<Self>) -> Arc<Self> {
+        if self.alpha_bounds.is_some() {
+            return self;
+        }
+        let alpha_bounds = Some(AlphaBounds::new(&self.levels));
+        Arc::new(Self { alpha_bounds, ..Arc::unwrap_or_clone(self) })
+    }
+
+    /// What [`Texture::bounded`] made ready.
+    pub(crate) fn alpha_bounds(&self) -> Option<&AlphaBounds> {
+        self.alpha_bounds.as_ref()
     }
 
     /// Unique in this process; the cache key of a renderer.
@@ -224,7 +242,7 @@ impl Texture {
 
     /// The finer of the two levels to mix and the share of the coarser one.
     #[inline]
-    fn level_pair(&self, lod: f32) -> (usize, f32) {
+    pub(crate) fn level_pair(&self, lod: f32) -> (usize, f32) {
         let last = self.levels.len() - 1;
         let clamped = lod.clamp(0.0, last as f32);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
@@ -258,7 +276,7 @@ fn wrap_index(index: i32, size: u32, wrap: Wrap) -> usize {
 
 /// A texel index and the next one, both inside `0..size`.
 #[inline]
-fn wrap_pair(index: i32, size: u32, wrap: Wrap) -> (usize, usize) {
+pub(crate) fn wrap_pair(index: i32, size: u32, wrap: Wrap) -> (usize, usize) {
     let first = index.cast_unsigned();
     if first < size - 1 {
         return (first as usize, first as usize + 1);
