@@ -11,7 +11,7 @@ use glam::{DAffine3, Mat3, Vec2, Vec3, Vec4};
 
 use crate::error::LodError;
 use crate::plant::Mesh;
-use crate::texture::{Sampler, Texture};
+use crate::texture::{Distribution, Sampler, Texture};
 use crate::view::View;
 
 /// Largest width of a line and side of a point: that of the largest picture.
@@ -147,6 +147,16 @@ pub enum Surface {
         /// How it is read.
         sampler: Sampler,
     },
+    /// As `Textured`, but the texture coordinate is looked up in a distribution, which says which
+    /// point of a texture of turned leaves is there, and its tint.
+    Indirect {
+        /// Index into [`DrawList::distributions`].
+        distribution: u32,
+        /// Index into [`DrawList::textures`]: the turned leaves.
+        leaves: u32,
+        /// How the leaves are read.
+        sampler: Sampler,
+    },
 }
 
 /// How a fragment joins what is already there.
@@ -156,6 +166,10 @@ pub enum Blend {
     Opaque,
     /// As opaque where alpha is at least the cutoff, nothing elsewhere.
     Test(f32),
+    /// As opaque in as many of a pixel's samples as alpha asks for. Which samples those are depends on
+    /// the instance's seed and the primitive's source id, so that shapes of equal alpha do not hide
+    /// one another. With one sample it is a test at one half.
+    Coverage,
     /// `source + (1 - source alpha) * destination`, premultiplied, in paint order.
     Over,
 }
@@ -241,6 +255,8 @@ pub struct DrawList {
     pub geometries: Vec<Arc<Geometry>>,
     /// Shared textures.
     pub textures: Vec<Arc<Texture>>,
+    /// Shared maps of where leaves lie.
+    pub distributions: Vec<Arc<Distribution>>,
     /// This frame's own vertices and indices.
     pub own: OwnBuffers,
     /// Placed copies.
@@ -268,6 +284,16 @@ impl DrawList {
             self.textures.len() - 1
         });
         u32::try_from(index).expect("few textures")
+    }
+
+    /// Adds a shared distribution unless it is there, and gives its index.
+    pub fn distribution(&mut self, distribution: &Arc<Distribution>) -> u32 {
+        let known = self.distributions.iter().position(|d| d.id() == distribution.id());
+        let index = known.unwrap_or_else(|| {
+            self.distributions.push(Arc::clone(distribution));
+            self.distributions.len() - 1
+        });
+        u32::try_from(index).expect("few distributions")
     }
 
     /// Adds an instance and gives the range that holds it alone.
@@ -311,10 +337,16 @@ impl DrawList {
                     return Err(wrong(number, format!("no geometry {index}")));
                 }
             }
-            if let Surface::Textured { texture, .. } = item.surface
+            if let Surface::Textured { texture, .. } | Surface::Indirect { leaves: texture, .. } =
+                item.surface
                 && texture as usize >= self.textures.len()
             {
                 return Err(wrong(number, format!("no texture {texture}")));
+            }
+            if let Surface::Indirect { distribution, .. } = item.surface
+                && distribution as usize >= self.distributions.len()
+            {
+                return Err(wrong(number, format!("no distribution {distribution}")));
             }
             if let Primitive::Lines { width_px: size } | Primitive::Points { size_px: size } =
                 item.primitive

@@ -57,7 +57,7 @@ fn prepare(
     let ready = if filter == Filter::Trilinear {
         let keep = match blend {
             Blend::Test(cutoff) => Keep::Coverage { cutoff },
-            Blend::Opaque | Blend::Over => Keep::MeanAlpha,
+            Blend::Opaque | Blend::Coverage | Blend::Over => Keep::MeanAlpha,
         };
         mips::levels(texture.levels()[0].clone(), keep, &|| Ok(()))
             .and_then(Texture::new)
@@ -66,6 +66,7 @@ fn prepare(
         Arc::clone(texture)
     };
     let ready = ready.decoded_ahead();
+    let ready = if matches!(blend, Blend::Test(_)) { ready.bounded() } else { ready };
     prepared.push((texture.id(), blend, Arc::clone(&ready)));
     ready
 }
@@ -433,7 +434,7 @@ mod tests {
             .iter()
             .filter_map(|item| match item.surface {
                 Surface::Textured { sampler, .. } => Some(sampler.filter),
-                Surface::VertexColor => None,
+                Surface::VertexColor | Surface::Indirect { .. } => None,
             })
             .collect();
         assert_eq!(filters, [Filter::Nearest; 2], "read as asked for");

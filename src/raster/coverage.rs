@@ -87,6 +87,12 @@ impl Lanes {
         f32x8::simd_from(simd, self.pixels[block][axis])
     }
 
+    /// Which pixel after a vector's first each lane is in.
+    #[inline(always)]
+    pub(crate) fn columns<S: Simd>(&self, simd: S) -> f32x8<S> {
+        i32x8::simd_from(simd, self.columns).to_float()
+    }
+
     #[inline(always)]
     fn steps<S: Simd>(&self, simd: S, block: usize, axis: usize) -> i32x8<S> {
         i32x8::simd_from(simd, self.steps[block][axis])

@@ -11,6 +11,7 @@
 mod clip;
 mod colors;
 mod coverage;
+mod cut_out;
 mod frame;
 mod grid;
 mod naive;
@@ -150,12 +151,10 @@ impl Renderer {
         self.planes.resize(length, settings.outputs);
         let cut = setup::cut(list);
         let weight = 1.0 / settings.sample_count as f32;
-        // sets of 1, 4, 8 or 16 are one pass; longer ones are passes of 16 and of what is left
         let mut left = &positions[..];
         let mut first = true;
         while !left.is_empty() {
-            let size = [16, 8, 4, 1].into_iter().find(|&size| size <= left.len());
-            let (pass, rest) = left.split_at(size.expect("at least one position is left"));
+            let (pass, rest) = left.split_at(samples::pass_size(left.len()));
             left = rest;
             let state = PassState { list, view, settings, cut: &cut, weight, first, level, job };
             match pass.len() {

@@ -41,6 +41,7 @@ pub fn draw_naive(
             unit
         })
         .collect();
+    let places = places_in_passes(positions.len());
     let (width, height) = (view.width as usize, view.height as usize);
     let mut frame = Frame { width, height, ..Frame::default() };
     for y in 0..i32::try_from(height).expect("at most 16384") {
@@ -48,9 +49,10 @@ pub fn draw_naive(
         for x in 0..i32::try_from(width).expect("at most 16384") {
             let mut sum = Vec4::ZERO;
             let (mut depth, mut id) = (f32::INFINITY, EMPTY_ID);
-            for &[sx, sy] in &positions {
+            for (number, &[sx, sy]) in positions.iter().enumerate() {
                 let at = [x * SUBPIXEL_COUNT + sx, y * SUBPIXEL_COUNT + sy];
-                let (color, sample_depth, sample_id) = sample(list, view, &units, at);
+                let (color, sample_depth, sample_id) =
+                    sample(list, view, &units, at, places[number]);
                 sum += color;
                 if sample_depth < depth {
                     (depth, id) = (sample_depth, sample_id);
@@ -64,8 +66,24 @@ pub fn draw_naive(
     Ok(frame)
 }
 
-/// Colour, depth and id at a point in sub-pixel steps.
-fn sample(list: &DrawList, view: &View, units: &[Unit], at: [i32; 2]) -> (Vec4, f32, u32) {
+/// Place and size of the pass that each sample is drawn in.
+fn places_in_passes(sample_count: usize) -> Vec<(usize, usize)> {
+    let mut places = Vec::new();
+    while places.len() < sample_count {
+        let size = samples::pass_size(sample_count - places.len());
+        places.extend((0..size).map(|place| (place, size)));
+    }
+    places
+}
+
+/// Colour, depth and id at a point in sub-pixel steps, which is the sample of some place in its pass.
+fn sample(
+    list: &DrawList,
+    view: &View,
+    units: &[Unit],
+    at: [i32; 2],
+    (place, pass_size): (usize, usize),
+) -> (Vec4, f32, u32) {
     let point = Vec2::new(at[0] as f32, at[1] as f32) * (1.0 / SUBPIXEL_COUNT as f32);
     let center = point.floor() + 0.5;
     let mut color = Vec4::ZERO;
@@ -94,6 +112,10 @@ fn sample(list: &DrawList, view: &View, units: &[Unit], at: [i32; 2]) -> (Vec4, 
             let hides = match material.item.blend {
                 Blend::Opaque => true,
                 Blend::Test(cutoff) => alpha >= cutoff,
+                Blend::Coverage => {
+                    let seed = material.instance.seed;
+                    alpha >= samples::alpha_threshold(place, pass_size, seed, source_id)
+                }
                 Blend::Over => {
                     color = source + color * (1.0 - source.w);
                     blended.push((key, alpha.clamp(0.0, 1.0), source_id));

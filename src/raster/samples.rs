@@ -45,6 +45,30 @@ const SIXTEEN: [SamplePosition; 16] = [
     [16, 0],
 ];
 
+/// Sizes of the sets that samples are drawn in, largest first.
+pub const PASS_SIZES: [usize; 4] = [16, 8, 4, 1];
+
+/// How many of the samples that are left are drawn next: sets of 1, 4, 8 or 16 are one pass, longer
+/// ones are passes of 16 and of what is left.
+pub fn pass_size(left: usize) -> usize {
+    let fits = PASS_SIZES.into_iter().find(|&size| size <= left);
+    fits.expect("at least one sample is left")
+}
+
+/// Alpha from which a shape drawn with [`crate::draw_list::Blend::Coverage`] is there in a sample of a
+/// pass: the middles of equal shares of [0, 1], in an order that shapes do not share.
+#[inline]
+pub fn alpha_threshold(sample: usize, pass_size: usize, seed: u32, source_id: u32) -> f32 {
+    let mut hash = (seed ^ 0x9E37_79B9).wrapping_mul(0x85EB_CA6B) ^ source_id;
+    hash = (hash ^ hash >> 16).wrapping_mul(0x7FEB_352D);
+    hash = (hash ^ hash >> 15).wrapping_mul(0x846C_A68B);
+    hash ^= hash >> 16;
+    // exchanged by a mask, then multiplied by an odd number: a permutation of any power of two
+    let (mask, odd) = ((hash >> 8) as usize, (hash | 1) as usize);
+    let rank = (sample ^ mask).wrapping_mul(odd) & (pass_size - 1);
+    (rank as f32 + 0.5) / pass_size as f32
+}
+
 /// Positions of a picture's samples.
 ///
 /// # Errors

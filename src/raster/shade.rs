@@ -9,18 +9,62 @@ use std::ops::{Add, Mul, Sub};
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles};
 
 use crate::draw_list::{Blend, Buffers, DrawList, Instance, Item, Surface};
+use crate::raster::cut_out::CutOut;
 use crate::raster::placing::{Placing, ScreenVertex, normal_matrix};
 use crate::raster::setup::{Shape, Unit, flags};
-use crate::texture::{Filter, Sampler, Texture};
+use crate::texture::{Distribution, Filter, Sampler, Texture};
 use crate::view::View;
 
 /// Everything that shading a shape needs, looked up once.
 pub(crate) struct Material<'a> {
     pub(crate) item: &'a Item,
     pub(crate) instance: &'a Instance,
-    pub(crate) texture: Option<(&'a Texture, Sampler)>,
+    look: Option<Look<'a>>,
     buffers: &'a Buffers,
     indices: &'a Buffers,
+}
+
+/// A texture, and how it is read.
+#[derive(Clone, Copy)]
+pub(crate) struct Look<'a> {
+    texture: &'a Texture,
+    sampler: Sampler,
+    /// Where in the texture a coordinate is looked up, if not at itself.
+    distribution: Option<&'a Distribution>,
+}
+
+impl Look<'_> {
+    #[inline]
+    pub(crate) fn alpha(&self, uv: Vec2, lod: f32) -> f32 {
+        match self.distribution {
+            None => self.texture.alpha(self.sampler, uv, lod),
+            Some(distribution) => distribution.alpha(self.texture, self.sampler, uv, lod),
+        }
+    }
+
+    /// The texture itself, if it is looked up at the coordinate and between texels.
+    #[inline]
+    pub(crate) fn filtered(&self) -> Option<(&Texture, Sampler)> {
+        let plain = self.distribution.is_none() && self.sampler.filter != Filter::Nearest;
+        plain.then_some((self.texture, self.sampler))
+    }
+
+    /// Premultiplied linear colour.
+    #[inline]
+    fn sample(&self, uv: Vec2, lod: f32) -> Vec4 {
+        match self.distribution {
+            None => self.texture.sample(self.sampler, uv, lod),
+            Some(distribution) => distribution.sample(self.texture, self.sampler, uv, lod),
+        }
+    }
+
+    /// Texels over a step in texture space, if levels are wanted.
+    fn texels(&self) -> Option<Vec2> {
+        let (width, height) = self.texture.size();
+        let itself = || Vec2::new(width as f32, height as f32);
+        let texels = self.distribution.map_or_else(itself, |d| d.texels(self.texture));
+        (self.sampler.filter == Filter::Trilinear).then_some(texels)
+    }
 }
 
 /// What can be interpolated.
@@ -37,16 +81,21 @@ impl<'a> Material<'a> {
     pub(crate) fn new(list: &'a DrawList, unit: &Unit, shape: &Shape) -> Self {
         let segment = &unit.segments[shape.tag.segment() as usize];
         let item = &list.items[segment.item as usize];
-        let texture = match item.surface {
+        let texture = |index: u32| &*list.textures[index as usize];
+        let look = match item.surface {
             Surface::VertexColor => None,
-            Surface::Textured { texture, sampler } => {
-                Some((&*list.textures[texture as usize], sampler))
+            Surface::Textured { texture: index, sampler } => {
+                Some(Look { texture: texture(index), sampler, distribution: None })
+            }
+            Surface::Indirect { distribution, leaves, sampler } => {
+                let distribution = Some(&*list.distributions[distribution as usize]);
+                Some(Look { texture: texture(leaves), sampler, distribution })
             }
         };
         Self {
             item,
             instance: &list.instances[segment.instance as usize],
-            texture,
+            look,
             buffers: list.vertices_of(item),
             indices: list.indices_of(item),
         }
@@ -54,7 +103,7 @@ impl<'a> Material<'a> {
 
     /// Whether every sample of a shape may be shaded at one point.
     pub(crate) fn is_smooth(&self) -> bool {
-        self.texture.is_none()
+        self.look.is_none()
     }
 
     /// What the "ids" output shows.
@@ -71,19 +120,31 @@ impl<'a> Material<'a> {
     pub(crate) fn alpha(&self, weigher: &Weigher, at: Vec2, lod: f32) -> f32 {
         let weights = weigher.at(at);
         let opacity = mix(weigher.opacities, weights);
-        let texel = self.texture.map_or(1.0, |(texture, sampler)| {
-            texture.alpha(sampler, mix(weigher.uvs, weights), lod)
-        });
+        let texel = self.look.map_or(1.0, |look| look.alpha(mix(weigher.uvs, weights), lod));
         opacity * texel * self.instance.tint.w
+    }
+
+    /// The alpha test of a textured shape that does not reach behind the eye, as vectors take it.
+    pub(crate) fn cut_out(
+        &self,
+        weigher: &Weigher,
+        cutoff: impl Fn(usize) -> f32,
+        sample_count: usize,
+    ) -> Option<CutOut<'a>> {
+        let look = self.look?;
+        let Kind::Planar(planar) = weigher.kind else { return None };
+        let mut cutoffs = [0.0; 16];
+        for (sample, stored) in cutoffs.iter_mut().take(sample_count).enumerate() {
+            *stored = cutoff(sample);
+        }
+        let (uvs, opacities) = (weigher.uvs, weigher.opacities);
+        let (tint, texels) = (self.instance.tint.w, look.texels());
+        Some(CutOut { planar, uvs, opacities, tint, look, texels, cutoffs })
     }
 
     /// Level of detail of the texture at a pixel; 0 unless it is read with mips.
     pub(crate) fn lod(&self, weigher: &Weigher, center: Vec2) -> f32 {
-        let Some((texture, Sampler { filter: Filter::Trilinear, .. })) = self.texture else {
-            return 0.0;
-        };
-        let (width, height) = texture.size();
-        let size = Vec2::new(width as f32, height as f32);
+        let Some(size) = self.look.and_then(|look| look.texels()) else { return 0.0 };
         let uv = |offset: Vec2| mix(weigher.uvs, weigher.unclamped(center + offset)) * size;
         let middle = uv(Vec2::ZERO);
         let longest =
@@ -107,8 +168,8 @@ impl<'a> Material<'a> {
         let tint = self.instance.tint;
         let mut alpha = 1.0;
         let mut texel = Vec3::ONE;
-        if let Some((texture, sampler)) = self.texture {
-            let sampled = texture.sample(sampler, mix(weigher.uvs, weights), lod);
+        if let Some(look) = self.look {
+            let sampled = look.sample(mix(weigher.uvs, weights), lod);
             if sampled.w == 0.0 {
                 // nothing to see where it is blended; black where its alpha does not count
                 texel = Vec3::ZERO;
@@ -164,12 +225,12 @@ enum Kind {
 
 /// The second and third weight are linear on the picture, then divided by depth.
 #[derive(Clone, Copy, Debug)]
-struct Planar {
-    origin: Vec2,
-    second: Vec2,
-    third: Vec2,
+pub(crate) struct Planar {
+    pub(crate) origin: Vec2,
+    pub(crate) second: Vec2,
+    pub(crate) third: Vec2,
     /// Depth keys of the corners; all 1 where depth does not matter.
-    keys: [f32; 3],
+    pub(crate) keys: [f32; 3],
 }
 
 impl Planar {

@@ -12,7 +12,7 @@ use crate::raster::coverage::Lanes;
 use crate::raster::frame::{EMPTY_ID, Outputs};
 use crate::raster::grid::Grid;
 use crate::raster::plain::Plain;
-use crate::raster::samples::{SUBPIXEL_COUNT, SamplePosition};
+use crate::raster::samples::{SUBPIXEL_COUNT, SamplePosition, alpha_threshold};
 use crate::raster::setup::{Shape, Unit, flags};
 use crate::raster::shade::{Material, Weigher};
 use crate::raster::visible::{Sample, Sink, Visible, bits, index};
@@ -227,7 +227,13 @@ impl TileBuffer {
                 let target = Target { tile_box, style, shape, unit: unit_index, index };
                 match style.material.item.blend {
                     Blend::Opaque => self.draw_opaque(scene, &target),
-                    Blend::Test(cutoff) => self.draw_tested(scene, &target, cutoff),
+                    Blend::Test(cutoff) => self.draw_tested(scene, &target, |_| cutoff),
+                    Blend::Coverage => {
+                        let seed = style.material.instance.seed;
+                        let id = style.material.source_id(unit.origins[index as usize].primitive);
+                        let threshold = |sample| alpha_threshold(sample, S, seed, id);
+                        self.draw_tested(scene, &target, threshold);
+                    }
                     Blend::Over => {
                         self.color_waiting(scene, tile);
                         self.draw_over(scene, &target);
@@ -274,17 +280,22 @@ impl TileBuffer {
         &mut self,
         scene: &Scene<'_, S>,
         target: &Target<'_>,
-        cutoff: f32,
+        cutoff: impl Fn(usize) -> f32,
     ) {
         self.any_waiting = true;
         let Self { keys, waiting, fragment_count, .. } = self;
         let material = &target.style.material;
         let (weigher, reference) = (target.weigher(scene), target.reference());
         let write = material.item.depth_write;
+        if let Some(cut_out) = material.cut_out(&weigher, &cutoff, S) {
+            let sink = Sink::Test { cut_out: &cut_out, waiting, reference, write };
+            *fragment_count += target.draw(scene, keys, sink);
+            return;
+        }
         let mut lod = Lod::default();
         let mut visit = |sample: &Sample, keys: &mut [f32]| {
             let lod = lod.at(material, &weigher, sample);
-            if material.alpha(&weigher, scene.point_of(sample), lod) >= cutoff {
+            if material.alpha(&weigher, scene.point_of(sample), lod) >= cutoff(sample.number) {
                 if write {
                     keys[sample.at] = sample.key;
                 }

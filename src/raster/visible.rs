@@ -5,6 +5,7 @@ use fearless_simd::{f32x8, mask32x8, u32x8};
 use glam::Vec2;
 
 use crate::raster::coverage::{Before, Covered, Lanes, covered};
+use crate::raster::cut_out::CutOut;
 use crate::raster::grid::PixelBox;
 use crate::raster::setup::Shape;
 use crate::simd::{Kernel, LANE_COUNT};
@@ -30,6 +31,8 @@ pub(crate) struct Visible<'a, 'v> {
 pub(crate) enum Sink<'a, 'v> {
     /// They take the shape's key, if `write`, and its reference.
     Store { waiting: &'a mut [u32], reference: u32, write: bool },
+    /// As `Store`, where a texture's alpha passes a test.
+    Test { cut_out: &'v CutOut<'v>, waiting: &'a mut [u32], reference: u32, write: bool },
     /// Each is visited; what visitors do takes far longer than the call.
     Visit(&'v mut dyn FnMut(&Sample, &mut [f32])),
 }
@@ -97,8 +100,12 @@ impl Visible<'_, '_> {
                 if front == 0 {
                     return;
                 }
+                if let Sink::Test { cut_out, .. } = &sink {
+                    front = cut_out.passing(simd, lanes, &hit, front);
+                }
                 match &mut sink {
-                    Sink::Store { waiting, reference, write } => {
+                    Sink::Store { waiting, reference, write }
+                    | Sink::Test { waiting, reference, write, .. } => {
                         let front = mask32x8::from_bitmask(simd, front);
                         if *write {
                             front.select(key, old).store_slice(stored);
