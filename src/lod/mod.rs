@@ -3,8 +3,12 @@
 //! No technique knows another, and nothing outside this folder knows any.
 
 pub mod full_mesh;
+pub mod leaf_clusters;
 pub mod slicings;
 
+pub(crate) mod leaves;
+#[cfg(test)]
+pub(crate) mod made;
 pub mod solid;
 pub mod view_blend;
 pub mod wood;

@@ -67,7 +67,7 @@ impl Representation {
 
 type TextureFacts<'py> = (String, Vec<Bound<'py, PyArray3<u8>>>, Option<[[f64; 3]; 4]>);
 
-fn wood_from(wood: bool, triangle_count: Option<usize>) -> Wood {
+pub(super) fn wood_from(wood: bool, triangle_count: Option<usize>) -> Wood {
     match (wood, triangle_count) {
         (false, _) => Wood::None,
         (true, None) => Wood::Full,
@@ -75,7 +75,11 @@ fn wood_from(wood: bool, triangle_count: Option<usize>) -> Wood {
     }
 }
 
-fn choice<T: Copy>(name: &'static str, value: &str, choices: &[(&str, T)]) -> PyResult<T> {
+pub(super) fn choice<T: Copy>(
+    name: &'static str,
+    value: &str,
+    choices: &[(&str, T)],
+) -> PyResult<T> {
     let found = choices.iter().find(|(text, _)| *text == value);
     found.map(|&(_, chosen)| chosen).ok_or_else(|| {
         let known: Vec<String> = choices.iter().map(|(text, _)| format!("{text:?}")).collect();

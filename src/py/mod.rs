@@ -5,7 +5,9 @@
 //! `python/treelod/errors.py`, by the one conversion below.
 
 mod arrays;
+mod clusters;
 mod grow;
+mod leaf_clusters;
 mod lod;
 mod plant;
 mod png;
@@ -72,7 +74,11 @@ mod _core {
     }
 
     #[pymodule_export]
+    use super::clusters::{cluster_leaves, plane_misses, vector_peak};
+    #[pymodule_export]
     use super::grow::{grow, preset_names};
+    #[pymodule_export]
+    use super::leaf_clusters::{LeafClusters, leaf_clusters};
     #[pymodule_export]
     use super::lod::{Representation, circle_directions, full_mesh, slicings, sphere_directions};
     #[pymodule_export]
