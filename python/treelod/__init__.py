@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from treelod import _core
 from treelod._core import __version__
 from treelod.cameras import Camera, orbit
+from treelod.clusters import LeafClustering, PlaneMisses, cluster_leaves, plane_misses
 from treelod.errors import (
     DeviceError,
     ForkedError,
@@ -25,7 +26,7 @@ from treelod.errors import (
 from treelod.plants import Foliage, Lighting, Material, Mesh, Plant, grow_plant, load_plant
 from treelod.render import Frame, render, time_frames
 from treelod.scenes import Scene
-from treelod.techniques import FullMesh, Slicings
+from treelod.techniques import FullMesh, LeafClusters, Slicings
 
 if TYPE_CHECKING:
     from treelod import metrics
@@ -38,11 +39,14 @@ __all__ = [
     "Frame",
     "FullMesh",
     "InternalError",
+    "LeafClustering",
+    "LeafClusters",
     "Lighting",
     "LimitError",
     "Material",
     "Mesh",
     "NoAdapterError",
+    "PlaneMisses",
     "Plant",
     "PlantFileError",
     "Scene",
@@ -50,10 +54,12 @@ __all__ = [
     "StoreError",
     "TreelodError",
     "__version__",
+    "cluster_leaves",
     "grow_plant",
     "load_plant",
     "metrics",
     "orbit",
+    "plane_misses",
     "render",
     "time_frames",
 ]

@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "LeafClusters",
     "Plant",
     "Renderer",
     "Representation",
@@ -14,16 +15,20 @@ __all__ = [
     "_spin_for_test",
     "build_profile",
     "circle_directions",
+    "cluster_leaves",
     "encode_png",
     "full_mesh",
     "grow",
+    "leaf_clusters",
     "peak_rate",
+    "plane_misses",
     "preset_names",
     "slicings",
     "smooth_normals",
     "sphere_directions",
     "split_plant",
     "time_naive",
+    "vector_peak",
 ]
 
 _F32 = NDArray[np.float32]
@@ -200,6 +205,68 @@ def slicings(
     threads: int | None,
     progress: Callable[[int, int], object] | None,
 ) -> tuple[Representation, dict[str, Any]]: ...
+
+@final
+class LeafClusters:
+    def representation(self) -> Representation: ...
+    def at(self, level: int, t: float) -> LeafClusters: ...
+    @property
+    def level_count(self) -> int: ...
+    def cluster_ids(self, level: int) -> _U32: ...
+    def planes(self, level: int) -> NDArray[np.float64]: ...
+    def parents(self, level: int) -> _U32: ...
+    @property
+    def level_errors(self) -> list[float]: ...
+    @property
+    def kmeans_errors(self) -> tuple[list[float], bool]: ...
+    @property
+    def alpha(self) -> float: ...
+    def card_sides(
+        self, level: int
+    ) -> list[
+        tuple[int, bool, list[list[float]], list[list[float]], tuple[int, int, int, int] | None]
+    ]: ...
+    @property
+    def atlas_fills(self) -> list[float]: ...
+
+def leaf_clusters(
+    plant: Plant,
+    facts: dict[str, Any],
+    *,
+    threads: int | None,
+    progress: Callable[[int, int], object] | None,
+) -> LeafClusters: ...
+def cluster_leaves(
+    centers: _F32,
+    normals: _F32,
+    *,
+    cluster_count: int,
+    alpha: float,
+    init: str | NDArray[Any],
+    seed: int,
+    restarts: int,
+    max_iterations: int,
+    eigen: str,
+    method: str = "pruned",
+    simd: str | None = None,
+    threads: int | None = None,
+    progress: Callable[[int, int], object] | None = None,
+) -> tuple[_U32, NDArray[np.float64], NDArray[np.float64], bool]: ...
+def plane_misses(
+    centers: _F32,
+    normals: _F32,
+    cluster_ids: _U32,
+    *,
+    cluster_count: int,
+    alpha: float,
+    threads: int | None = None,
+) -> tuple[
+    NDArray[np.uint64],
+    tuple[NDArray[np.float64], NDArray[np.float64]],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]: ...
+def vector_peak() -> tuple[int, float]: ...
 def circle_directions(count: int) -> list[list[float]]: ...
 def sphere_directions(count: int) -> list[list[float]]: ...
 def encode_png(picture: NDArray[np.uint8]) -> bytes: ...

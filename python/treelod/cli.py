@@ -52,6 +52,9 @@ app = typer.Typer(
 
 DEMO_PRESET = "chestnut"
 
+SMALL_DEMO = {"leaf_clusters": "leaf_clusters:resolution=128"}
+"""Where a technique's defaults take seconds to bake: what `demo --small` takes instead."""
+
 _NO_SETTINGS = {"progress", "threads", "views"}
 """What a build takes besides a technique's own parameters: options of the command, or objects."""
 
@@ -117,8 +120,9 @@ def compare(
             "-t",
             metavar="SPEC",
             show_default="each, with its default parameters",
-            help="What to compare with the full mesh, as NAME or NAME:KEY=VALUE,KEY=VALUE; repeat "
-            "for several, also for one technique with different parameters. "
+            help="What to compare with the full mesh, as NAME or NAME:KEY=VALUE,KEY=VALUE; a value "
+            "of several numbers is A+B. Repeat for several, also for one technique with different "
+            "parameters. "
             f"There are: {', '.join(name for name in REGISTRY if name != FullMesh.name)}.",
         ),
     ] = None,
@@ -242,6 +246,7 @@ def demo(
             "size": (256, 192),
         }
         leaf_count, reference_samples = 2000, 16
+        techniques = [SMALL_DEMO.get(name, name) for name in _all_techniques()]
     else:
         views = {
             # 6 would meet the 6 directions that slicings are baked for and show no other
@@ -251,12 +256,13 @@ def demo(
             "size": (512, 384),
         }
         leaf_count, reference_samples = None, 64
+        techniques = _all_techniques()
     with reported(verbose=verbose), Stages() as stages:
         measure = _measurement(output)
         subject, source = _subject(stages, DEMO_PRESET, leaf_count=leaf_count)
         comparison, page = measure(
             subject,
-            dict(_technique(text) for text in _all_techniques()),
+            dict(_technique(text) for text in techniques),
             default_cameras(subject, **views),
             reference_samples=reference_samples,
             threads=threads,
@@ -487,13 +493,22 @@ def _technique(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def _value(text: str) -> Any:
+    """Read one value; numbers with ``+`` between are a tuple, since commas end a value."""
     constants = {"none": None, "true": True, "false": False}
     if text.lower() in constants:
         return constants[text.lower()]
-    for number in (int, float):
+    number = _number(text)
+    if number is not None:
+        return number
+    parts = [_number(part) for part in text.split("+")]
+    return text if None in parts else tuple(parts)
+
+
+def _number(text: str) -> float | None:
+    for kind in (int, float):
         with contextlib.suppress(ValueError):
-            return number(text)
-    return text
+            return kind(text)
+    return None
 
 
 def _numbers(option: str, text: str) -> list[float]:

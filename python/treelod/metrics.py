@@ -22,13 +22,17 @@ from skimage.metrics import structural_similarity
 
 from treelod.color import composite, linear_from_srgb, srgb_from_linear
 from treelod.errors import InternalError
+from treelod.render import render
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import ArrayLike, NDArray
 
+    from treelod.cameras import Camera
     from treelod.render import Frame
+    from treelod.scenes import Scene
+    from treelod.techniques.technique import Technique
 
 __all__ = [
     "BACKGROUNDS",
@@ -39,6 +43,7 @@ __all__ = [
     "compare_arrays",
     "flip_map",
     "measured_region",
+    "popping",
 ]
 
 DEFAULT_PPD = 67.02
@@ -370,6 +375,60 @@ def flip_map(
         for color in (first, second)
     ]
     return _flip(encoded[0], encoded[1], ppd)
+
+
+def popping(
+    before: Technique | Scene,
+    after: Technique | Scene,
+    camera: Camera,
+    *,
+    samples: int = 64,
+    ppd: float = DEFAULT_PPD,
+    yee: bool = False,
+    threads: int | None = None,
+) -> Errors:
+    """
+    Measure what the eye sees jump when a subject is exchanged for another.
+
+    Parameters
+    ----------
+    before, after : Technique or Scene
+        The two sides of a switch: two levels, or one at two moments of a transition.
+    camera : Camera
+        From which both are seen. Between two cameras parallax would be measured.
+    samples : int, default 64
+        Samples a pixel, as in `treelod.render`.
+    ppd, yee
+        As for `compare`.
+    threads : int, optional
+        As in `treelod.render`.
+
+    Returns
+    -------
+    Errors
+        Of `after` against `before`, over the region of `before`.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> import treelod as tl
+    >>> plant = tl.grow_plant("chestnut", leaf_count=200)
+    >>> lod = tl.LeafClusters.build(plant, cluster_count=(16, 8), resolution=64)
+    >>> camera = tl.orbit(plant, count=1, size=(64, 64))[0]
+    >>> swap = tl.metrics.popping(lod.at(level=0, t=1.0), lod.at(level=1), camera, samples=4)
+    >>> swap.flip
+    0.0
+    """
+    check_ppd(ppd)
+    first, second = (
+        render(subject, camera, samples=samples, outputs=("color",), threads=threads)
+        for subject in (before, after)
+    )
+    return compare(first, second, ppd=ppd, yee=yee)
 
 
 def _pair(reference: Frame, frame: Frame) -> tuple[NDArray[Any], NDArray[Any]]:

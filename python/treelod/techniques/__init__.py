@@ -1,12 +1,21 @@
 """Every technique by name; a new one is one file here, one in the core, and a line below."""
 
 from treelod.techniques.full_mesh import FullMesh
+from treelod.techniques.leaf_clusters import LeafClusters
 from treelod.techniques.slicings import Slicings
 from treelod.techniques.technique import BakedTexture, Footprint, Technique
 
-__all__ = ["REGISTRY", "BakedTexture", "Footprint", "FullMesh", "Slicings", "Technique"]
+__all__ = [
+    "REGISTRY",
+    "BakedTexture",
+    "Footprint",
+    "FullMesh",
+    "LeafClusters",
+    "Slicings",
+    "Technique",
+]
 
 REGISTRY: dict[str, type[Technique]] = {
-    technique.name: technique for technique in (FullMesh, Slicings)
+    technique.name: technique for technique in (FullMesh, Slicings, LeafClusters)
 }
 """Techniques by the name that tables, command lines and sweeps use."""

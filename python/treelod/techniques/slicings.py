@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import operator
 import time
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
 from treelod import _core
 from treelod.render import camera_facts, thread_count
-from treelod.techniques.technique import Technique, wood_facts
+from treelod.techniques.technique import Technique, resolution_texels, whole, wood_facts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -153,7 +151,7 @@ class Slicings(Technique):
         >>> lod.footprint.cards
         12
         """
-        width, height = _resolution(resolution)
+        width, height = resolution_texels("resolution", resolution)
         directions, triangles = _directions(orientations, slicing_count)
         wood_params = wood_facts(wood=wood, wood_triangle_count=wood_triangle_count)
         facts = None if views is None else [camera_facts(camera) for camera in views]
@@ -162,9 +160,9 @@ class Slicings(Technique):
             plant._core,
             directions,
             triangles,
-            slice_count=_count("slice_count", slice_count),
+            slice_count=whole("slice_count", slice_count),
             resolution=(width, height),
-            samples=_count("samples", samples),
+            samples=whole("samples", samples),
             correction=correction if isinstance(correction, str) else float(correction),
             large_leaves=large_leaves,
             format=format,
@@ -189,32 +187,12 @@ class Slicings(Technique):
         return cls(core, params, secs, measured)
 
 
-def _resolution(resolution: int | tuple[int, int]) -> tuple[int, int]:
-    """Width and height in texels."""
-    if not isinstance(resolution, Sequence):
-        side = _count("resolution", resolution)
-        return side, side
-    if isinstance(resolution, str) or len(resolution) != 2:
-        msg = f"resolution must be a number or (width, height), got {resolution!r}"
-        raise ValueError(msg)
-    return _count("resolution", resolution[0]), _count("resolution", resolution[1])
-
-
-def _count(name: str, value: int) -> int:
-    """Refuse what no u32 holds before the core sees it."""
-    count = operator.index(value)
-    if not 0 < count < 2**32:
-        msg = f"{name} must be at least 1 and below 2**32, got {count}"
-        raise ValueError(msg)
-    return count
-
-
 def _directions(
     orientations: str | ArrayLike, slicing_count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.uint32] | None]:
     """Directions of shape (N, 3), and the triangles between them where they are not all level."""
     if isinstance(orientations, str):
-        count = _count("slicing_count", slicing_count)
+        count = whole("slicing_count", slicing_count)
         if orientations == "circle":
             return np.array(_core.circle_directions(count)), None
         if orientations != "sphere":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
     from treelod import _core
 
-__all__ = ["BakedTexture", "Footprint", "Technique", "wood_facts"]
+__all__ = ["BakedTexture", "Footprint", "Technique", "resolution_texels", "whole", "wood_facts"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,3 +146,62 @@ def wood_facts(*, wood: bool, wood_triangle_count: int | None) -> dict[str, Any]
         msg = f"wood_triangle_count must be at least 1 or None, got {wood_triangle_count}"
         raise ValueError(msg)
     return {"wood": bool(wood), "wood_triangle_count": wood_triangle_count}
+
+
+def whole(name: str, value: int, low: int = 1, end: int = 2**32) -> int:
+    """
+    Refuse what no integer of the core holds before the core sees it.
+
+    Parameters
+    ----------
+    name : str
+        The argument, for the message.
+    value : int
+        In ``range(low, end)``.
+    low, end : int, default 1 and 2**32
+        The range.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    ValueError
+        If the value is out of range.
+    """
+    count = operator.index(value)
+    if not low <= count < end:
+        bound = f"2**{end.bit_length() - 1}" if end.bit_count() == 1 else str(end)
+        msg = f"{name} must be at least {low} and below {bound}, got {count}"
+        raise ValueError(msg)
+    return count
+
+
+def resolution_texels(name: str, resolution: int | tuple[int, int]) -> tuple[int, int]:
+    """
+    Width and height in texels.
+
+    Parameters
+    ----------
+    name : str
+        The argument, for the message.
+    resolution : int or (int, int)
+        One number for both sides, or both; each at least 1.
+
+    Returns
+    -------
+    tuple of int
+
+    Raises
+    ------
+    ValueError
+        If it is neither, or a number is out of range.
+    """
+    if not isinstance(resolution, Sequence):
+        side = whole(name, resolution)
+        return side, side
+    if isinstance(resolution, str) or len(resolution) != 2:
+        msg = f"{name} must be a number or (width, height), got {resolution!r}"
+        raise ValueError(msg)
+    return whole(name, resolution[0]), whole(name, resolution[1])
