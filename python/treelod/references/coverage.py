@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import functools
-import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from treelod import _core
 from treelod.references import mitsuba
+from treelod.references.baked import BAKE_SAMPLES, BakedCard, bias, card_checks, panel
 from treelod.references.cards import SIDE_PARTS
-from treelod.references.checks import Check, Panel, Section, rmse
+from treelod.references.checks import Check, Section
 from treelod.references.runner import in_parallel
 from treelod.references.slices import Crown, stored_alpha
 from treelod.references.soup import plant_soup
@@ -22,36 +21,19 @@ from treelod.techniques import FullMesh, Slicings
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from treelod.plants import Plant
 
 __all__ = [
     "SliceSettings",
-    "largest_z",
     "slices_section",
     "view_section",
 ]
 
-MAX_BIAS = 1e-3
-"""Largest difference of mean alpha: a quarter of a step of 8 bits."""
-
 MANY_SAMPLES = 256
 """Ours, where a picture is compared with the truth and not with another 16-sample picture."""
 
-BAKE_SAMPLES = 16
-
 MAX_CORNER_ERROR = 1e-6
 """Largest distance of a corner, as a share of the crown's radius: both sides round to f32."""
-
-MAX_Z = 6.0
-"""
-Largest difference of a block of texels, in standard deviations. Of a million blocks of pure noise
-one in 500 runs has one beyond.
-"""
-
-BLOCK = 8
-"""Side of a block in texels: a leaf is some texels, so blocks find one that is missing."""
 
 
 class SliceSettings(NamedTuple):
@@ -128,8 +110,8 @@ def view_section(
         title="Coverage of a view",
         what=f"The full mesh, {size[0]} x {size[1]} pixels, {MANY_SAMPLES} samples, against "
         f"mitsuba at {spp}.",
-        checks=[_bias("alpha of the view, bias", ours, theirs)],
-        panels=[_panel("alpha of the view", ours, theirs)],
+        checks=[bias("alpha of the view, bias", ours, theirs)],
+        panels=[panel("alpha of the view", ours, theirs)],
     )
 
 
@@ -159,50 +141,25 @@ def slices_section(
     # the middle first: it holds most leaves
     order = sorted(range(SLICE_COUNT), key=lambda number: abs(number - SLICE_COUNT // 2))
     places = [(slicing, number) for slicing in range(len(crowns)) for number in order]
-    precise = [(0, number) for number in order[: settings.precise_count]]
-
-    def draw(place: tuple[int, int]) -> list[NDArray[np.float32]]:
-        crown = crowns[place[0]]
-        picture = {
-            "soup": 0,
-            "view": crown.view(side),
-            "quantity": "alpha",
-            "side_parts": SIDE_PARTS,
-        }
-        kinds = [{"spp": settings.spp, "sampler": "independent", "seed": 1}]
-        if place in precise:
-            many = {"spp": settings.precise_spp, "sampler": "multijitter", "seed": 1}
-            few = {"spp": BAKE_SAMPLES, "sampler": "independent", "seed": 2}
-            kinds = [many, few]
-        # one process a slice, so that each is kept as soon as it is drawn
-        pictures = [{**picture, **kind} for kind in kinds]
-        return mitsuba.draw([crown.slices[place[1]]], pictures, threads=1)[0]
-
-    drawn = in_parallel([functools.partial(draw, place) for place in places], progress)
-    checks: list[Check] = []
-    panels: list[Panel] = []
-    deviations: list[float] = []
-    stored = [
-        stored_alpha(lod, slicing, SLICE_COUNT, side) for slicing in range(settings.slicing_count)
-    ]
-    for (slicing, number), theirs in zip(places, drawn, strict=True):
-        ours = stored[slicing][number]
-        if (slicing, number) in precise:
-            checks += _precise(number, ours, *theirs)
-            panels.append(_panel(f"alpha of slice {number}", ours, theirs[0]))
-        else:
-            deviations.append(largest_z(ours, theirs[0], settings.spp))
-    corners = [_corner_error(plant, lod, slicing, crown) for slicing, crown in enumerate(crowns)]
-    if deviations:
-        checks.append(
-            Check(
-                name="other slices: largest deviation of a block, in standard deviations",
-                value=float(np.max(deviations)),
-                relation="<=",
-                limit=MAX_Z,
-                note=f"{len(deviations)} slices",
-            )
+    stored = [stored_alpha(lod, slicing, SLICE_COUNT, side) for slicing in range(len(crowns))]
+    cards = [
+        BakedCard(
+            name=f"slice {number}",
+            view=crowns[slicing].view(side),
+            leaves=crowns[slicing].slices[number],
+            alpha=stored[slicing][number],
         )
+        for slicing, number in places
+    ]
+    checks, panels = card_checks(
+        cards,
+        many=settings.precise_count,
+        many_spp=settings.precise_spp,
+        spp=settings.spp,
+        others="other slices",
+        progress=progress,
+    )
+    corners = [_corner_error(plant, lod, slicing, crown) for slicing, crown in enumerate(crowns)]
     checks.append(
         Check(
             name="corners of slices",
@@ -257,37 +214,8 @@ def together(plant: Plant, side: int = TOGETHER_SIDE) -> list[Check]:
                 )
             )
         else:
-            checks.append(_bias("slices together: bias at 16 samples", 1.0 - through, whole))
+            checks.append(bias("slices together: bias at 16 samples", 1.0 - through, whole))
     return checks
-
-
-def largest_z(ours: NDArray[Any], theirs: NDArray[Any], spp: int) -> float:
-    """
-    Return the largest deviation of a block of texels in standard deviations.
-
-    Parameters
-    ----------
-    ours, theirs : ndarray of shape (H, W)
-        Alpha of a 16-sample bake, and of `spp` random samples a texel.
-    spp : int
-        Samples.
-
-    Returns
-    -------
-    float
-        Of blocks of 8 x 8 texels. The variance is that of random samples on both sides, with the
-        share covered estimated as (covered + 1) / (samples + 2), so that texels that seem full or
-        empty have one too.
-    """
-    share = (theirs.astype(np.float64) * spp + 1.0) / (spp + 2.0)
-    variance = share * (1.0 - share) * (1.0 / spp + 1.0 / BAKE_SAMPLES)
-    difference = ours.astype(np.float64) - theirs
-    rows, columns = (np.arange(0, extent, BLOCK) for extent in ours.shape)
-
-    def blocks(array: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(np.add.reduceat(np.add.reduceat(array, rows, axis=0), columns, axis=1))
-
-    return float((np.abs(blocks(difference)) / np.sqrt(blocks(variance))).max())
 
 
 def _build(
@@ -301,24 +229,6 @@ def _build(
         samples=samples,
         wood=False,
     )
-
-
-def _precise(
-    number: int, ours: NDArray[np.float64], theirs: NDArray[Any], few: NDArray[Any]
-) -> list[Check]:
-    error, peer = rmse(ours, theirs), rmse(few, theirs)
-    # where mitsuba has no error, in an empty slice, we may have none either
-    share = error / peer if peer > 0.0 else 0.0 if error == 0.0 else math.inf
-    return [
-        _bias(f"alpha of slice {number}, bias", ours, theirs),
-        Check(
-            name=f"alpha of slice {number}, RMSE over that of mitsuba at 16 samples",
-            value=share,
-            relation="<=",
-            limit=1.0,
-            note=f"{error:.4f} against {peer:.4f}",
-        ),
-    ]
 
 
 def _corner_error(plant: Plant, lod: Slicings, slicing: int, crown: Crown) -> float:
@@ -335,17 +245,3 @@ def _corner_error(plant: Plant, lod: Slicings, slicing: int, crown: Crown) -> fl
             offsets = (texture.corners - expected) @ axes.T
             errors.append(float(np.abs(offsets).max()) / crown.reach)
     return float(np.max(errors))
-
-
-def _bias(name: str, ours: NDArray[Any], theirs: NDArray[Any]) -> Check:
-    bias = float(ours.astype(np.float64).mean() - theirs.astype(np.float64).mean())
-    return Check(name=name, value=abs(bias), relation="<=", limit=MAX_BIAS, note=f"{bias:+.5f}")
-
-
-def _panel(title: str, ours: NDArray[Any], theirs: NDArray[Any]) -> Panel:
-    return Panel(
-        title=title,
-        ours=ours,
-        reference=theirs,
-        difference=np.abs(ours.astype(np.float64) - theirs),
-    )

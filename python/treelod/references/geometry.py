@@ -14,7 +14,7 @@ from treelod.references.checks import Check, Section
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["geometry_section"]
+__all__ = ["geometry_section", "rectangle_area", "rectangles"]
 
 ROUNDING = 1e-6
 """
@@ -144,7 +144,7 @@ def rectangles(plant: Plant) -> list[Check]:
             if length > 0.0:
                 places = (vertices - ours[0]) @ (side / length)
                 overhangs.append(float(max(-places.min(), places.max() - length)))
-        theirs = _trimesh_area(vertices, foliage.normals[leaf].astype(np.float64))
+        theirs = rectangle_area(vertices, foliage.normals[leaf].astype(np.float64))
         if theirs is None:
             line_count += 1
             # tight on it: no height, and no longer than twice what lies on one side of a vertex
@@ -169,8 +169,22 @@ def rectangles(plant: Plant) -> list[Check]:
     ]
 
 
-def _trimesh_area(vertices: NDArray[np.float64], normal: NDArray[np.float64]) -> float | None:
-    """Area of the smallest rectangle in the plane across `normal`; None for a line or a point."""
+def rectangle_area(vertices: NDArray[np.float64], normal: NDArray[np.float64]) -> float | None:
+    """
+    Return the area of the smallest rectangle around vertices, by trimesh.
+
+    Parameters
+    ----------
+    vertices : ndarray of shape (V, 3)
+        Seen along `normal`.
+    normal : ndarray of shape (3,)
+        Of the rectangle's plane, of any length.
+
+    Returns
+    -------
+    float or None
+        Square metres; None for a line or a point.
+    """
     around = vertices - vertices.mean(axis=0)
     size = float(np.abs(around).max())
     if size == 0.0 or not normal.any():

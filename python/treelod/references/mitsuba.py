@@ -397,7 +397,10 @@ def _sensor(mitsuba: Any, picture: Picture) -> Any:
     width, height = view["size"]
     eye, up, back = (np.array(view[name]) for name in ("eye", "up", "back"))
     transform = mitsuba.ScalarTransform4f()
-    to_world = transform.look_at(eye.tolist(), (eye - back).tolist(), up.tolist())
+    # far ahead: mitsuba takes the difference of the two in f32, and a target one unit away would
+    # turn the view by as much as the eye is rounded
+    ahead = eye - view["far"] * back
+    to_world = transform.look_at(eye.tolist(), ahead.tolist(), up.tolist())
     film = {
         "type": "hdrfilm",
         "width": width,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from treelod.references.baked import card_view
 from treelod.references.soup import foliage_soup
 from treelod.references.texels import decoded
 
@@ -146,17 +147,8 @@ class Crown:
         dict
             As `treelod.references.views.camera_settings`.
         """
-        return {
-            "eye": (self.center + 2.0 * self.reach * self.toward).tolist(),
-            "right": self.right.tolist(),
-            "up": self.up.tolist(),
-            "back": self.toward.tolist(),
-            "pixel": [2.0 * extent / side for extent in self.half],
-            "perspective": False,
-            "size": [side, side],
-            "near": 0.5 * self.reach,
-            "far": 4.0 * self.reach,
-        }
+        axes = self.right, self.up, self.toward
+        return card_view(self.center, axes, self.half, self.reach, (side, side))
 
 
 def stored_alpha(

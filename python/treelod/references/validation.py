@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from treelod.provenance import provenance
 from treelod.references import mitsuba
 from treelod.references.checks import words_for
+from treelod.references.clusters import ClusterSettings
 from treelod.references.color import color_section, lambert_section
 from treelod.references.coverage import SliceSettings, slices_section, view_section
 from treelod.references.geometry import geometry_section
+from treelod.references.impostors import clusters_section
 from treelod.references.runner import VERSIONED, require
 from treelod.references.soup import plant_soup
 from treelod.references.visibility import visibility_section
@@ -41,6 +43,8 @@ class Extent(NamedTuple):
         Samples a pixel of mitsuba in those of lit colour and of coverage.
     slices : SliceSettings
         Textures compared with mitsuba.
+    clusters : ClusterSettings
+        Cards of leaf clusters.
     """
 
     rays: tuple[int, int]
@@ -48,6 +52,7 @@ class Extent(NamedTuple):
     color_spp: int
     alpha_spp: int
     slices: SliceSettings
+    clusters: ClusterSettings
 
 
 QUICK = Extent(
@@ -56,6 +61,16 @@ QUICK = Extent(
     color_spp=256,
     alpha_spp=256,
     slices=SliceSettings(side=64, precise_count=1, precise_spp=256, slicing_count=1, spp=64),
+    clusters=ClusterSettings(
+        side=128,
+        cluster_count=8,
+        card_count=2,
+        turned_count=1,
+        precise_count=1,
+        precise_spp=256,
+        spp=64,
+        rays=(256, 192),
+    ),
 )
 """Half a minute to two a plant."""
 
@@ -66,6 +81,16 @@ FULL = Extent(
     # 50 million samples: the noise of their mean is a hundredth of what is allowed
     alpha_spp=64,
     slices=SliceSettings(side=256, precise_count=5, precise_spp=256, slicing_count=6, spp=64),
+    clusters=ClusterSettings(
+        side=256,
+        cluster_count=32,
+        card_count=32,
+        turned_count=2,
+        precise_count=2,
+        precise_spp=256,
+        spp=64,
+        rays=(1024, 768),
+    ),
 )
 """Everything at the size it is drawn at; minutes to a quarter of an hour a plant."""
 
@@ -217,8 +242,9 @@ def validate(
         sections.append(view_section(plant, extent.view, extent.alpha_spp, stage("coverage")))
         if plant.foliage.leaf_count:
             sections.append(slices_section(plant, extent.slices, stage("slices")))
+            sections.append(clusters_section(plant, extent.clusters, stage("leaf clusters")))
         else:
-            left_out.append("slices: the plant has no leaves")
+            left_out.append("slices and leaf clusters: the plant has no leaves")
     else:
         left_out.append(
             "coverage: mitsuba takes one opacity and one kind of wrap a material, "

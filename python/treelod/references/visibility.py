@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from treelod.plants import Plant
     from treelod.render import Frame
 
-__all__ = ["agreement", "seen_triangles", "visibility_section"]
+__all__ = ["agreement", "depth_picture", "seen_triangles", "visibility_section"]
 
 MIN_HIT_SHARE = 0.9999
 MIN_TRIANGLE_SHARE = 0.999
@@ -164,8 +164,8 @@ def visibility_section(
         panels.append(
             Panel(
                 title=f"{kind}: depth (near is bright), and rays that disagree",
-                ours=_depth_picture(frame.depth),
-                reference=_depth_picture(hits.depth),
+                ours=depth_picture(frame.depth),
+                reference=depth_picture(hits.depth),
                 difference=(ids != hits.ids).astype(np.float32),
             )
         )
@@ -179,7 +179,20 @@ def visibility_section(
     )
 
 
-def _depth_picture(depth: NDArray[Any]) -> NDArray[Any]:
+def depth_picture(depth: NDArray[Any]) -> NDArray[Any]:
+    """
+    Show depth as brightness.
+
+    Parameters
+    ----------
+    depth : ndarray of shape (H, W)
+        Metres, inf where there is nothing.
+
+    Returns
+    -------
+    ndarray of shape (H, W)
+        1 is nearest, 0.25 farthest, 0 nothing.
+    """
     seen = np.isfinite(depth)
     if not seen.any():
         return np.zeros(depth.shape)
