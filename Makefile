@@ -57,6 +57,7 @@ test: ## every test that is not marked slow
 bench: ## times against other tools, and of every technique; close other programs first
 	uv run --locked --extra bench --extra validate treelod bench raster --output target/raster.jsonl
 	uv run --locked --extra bench --extra validate treelod bench bake --output target/bake.jsonl
+	uv run --locked --extra bench treelod bench clusters --output target/clusters.jsonl
 	uv run --locked treelod compare chestnut --output target/bench --azimuths 2 --elevations 0 \
 		--reference-samples 16 --repeats 25
 

@@ -29,6 +29,17 @@ def _bake(*, repeats: int, small: bool) -> Iterator[Row]:
     return rows(repeats=repeats, small=small)
 
 
-GROUPS: dict[str, Callable[..., Iterator[Row]]] = {"bake": _bake, "raster": _raster}
+def _clusters(*, repeats: int, small: bool) -> Iterator[Row]:
+    from treelod.bench import cards, clusters
+
+    yield from clusters.rows(repeats=repeats, small=small)
+    yield from cards.rows(repeats=repeats, small=small)
+
+
+GROUPS: dict[str, Callable[..., Iterator[Row]]] = {
+    "bake": _bake,
+    "clusters": _clusters,
+    "raster": _raster,
+}
 """Groups by name. Called with `repeats` (rounds that are counted) and `small` (seconds instead of
 minutes, for tests); peers are imported only then."""
