@@ -121,6 +121,29 @@ def test_bake_rows_compare_the_same_textures(tmp_path):
         assert row["peer_error"] < 0.05
 
 
+@pytest.mark.timeout(300)
+def test_cluster_rows_compare_the_same_leaves(tmp_path):
+    file = tmp_path / "rows.jsonl"
+    command = ["bench", "clusters", "--small", "--repeats", "1", "--output", str(file)]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.stderr
+    rows = [json.loads(line) for line in file.read_text().splitlines()]
+    frames = [row for row in rows if row["peer"] == "full mesh, leaves alone"]
+    assert len(frames) == 2, "at 1 and 4 samples"
+    for row in frames:
+        # the mesh errs by aliasing alone, its cards by being flat as well
+        assert 0.0 < row["peer_error"] < row["ours_error"] < 1.0
+    rows = [row for row in rows if row not in frames]
+    assert [list(row) for row in rows] == [KEYS] * (4 * 2 * 2 * 2 + 1)
+    assert [row["aim"] for row in rows[:4]] == [10.0, 3.0, None, None]
+    compared = [row for row in rows if row["peer_error"] is not None]
+    assert len(compared) == 8, "sizes, planes, threads"
+    for row in compared:
+        # planes are fitted to planes: better than what is grouped by points
+        assert 0.0 < row["ours_error"] < row["peer_error"]
+    assert "exponent" in rows[-1]["error_kind"]
+
+
 def test_aims_are_met_against_a_peers_best_time_only():
     secs = {"ours 1": 1.0, "ours 2": 0.5, "color 1": 20.0, "color 2": 40.0}
     secs |= {"alpha 1": 9.0, "alpha 2": 5.0, "trimesh": 6.0, "embreex": 3.0}

@@ -125,6 +125,46 @@ def test_demo_small_by_default_into_demo(run, tmp_path, monkeypatch):
     assert done.stdout.rstrip().endswith("report: demo/report.html")
     table = pd.read_parquet(tmp_path / "demo" / "results.parquet")
     assert set(table["technique"]) == set(REGISTRY)
+    # none of them bakes for longer than a glance: the textures are small
+    assert table["texture_bytes"].max() < 2**24
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("16", 16),
+        ("0.5", 0.5),
+        ("1e+5", 1e5),
+        ("+5", 5),
+        ("None", None),
+        ("true", True),
+        ("rotate", "rotate"),
+        ("16+8", (16, 8)),
+        ("2.5+10+40", (2.5, 10, 40)),
+        ("16+", "16+"),
+        ("16+few", "16+few"),
+    ],
+)
+def test_values_of_parameters(text, value):
+    read = cli._value(text)
+    assert (read, type(read)) == (value, type(value))
+
+
+def test_compare_leaf_clusters(run, tmp_path):
+    specs = [
+        "leaf_clusters:cluster_count=8,flatten=rotate,resolution=32",
+        "leaf_clusters:cluster_count=8+4,resolution=32+16,level_distances=3.5,drawing=coverage",
+    ]
+    options = [option for spec in specs for option in ("-t", spec)]
+    done = run("compare", "chestnut", "-o", tmp_path / "out", *FAST, *options)
+    assert done.exit_code == 0, done.stderr
+    table = pd.read_parquet(tmp_path / "out" / "results.parquet")
+    assert set(specs) < set(table["label"])
+    params = {row.label: json.loads(row.params) for row in table.itertuples()}
+    assert params[specs[0]]["flatten"] == "rotate"
+    assert params[specs[0]]["cluster_count"] == 8
+    assert params[specs[1]]["cluster_count"] == [8, 4]
+    assert params[specs[1]]["resolution"] == [32, 16]
 
 
 @pytest.mark.parametrize(
@@ -138,6 +178,16 @@ def test_demo_small_by_default_into_demo(run, tmp_path, monkeypatch):
         (["compare", "chestnut", "-o", "out", "-t", "slicings:x=1"], 2, "parameters of slicings"),
         (["compare", "chestnut", "-o", "out", "-t", "slicings:resolution"], 2, "'resolution' in"),
         (["compare", "chestnut", "-o", "out", "-t", "slicings:resolution=0"], 1, "resolution"),
+        (
+            ["compare", "chestnut", "-o", "out", "-t", "leaf_clusters:cluster_count=8+16"],
+            1,
+            "cluster_count",
+        ),
+        (
+            ["compare", "chestnut", "-o", "out", "-t", "leaf_clusters:level_distances=3"],
+            1,
+            "level_distances",
+        ),
         (["compare", "chestnut", "-o", "out", "--size", "big"], 2, "not WIDTHxHEIGHT"),
         (["compare", "chestnut", "-o", "out", "--size", "0x9"], 1, "size must be 1 to 16384"),
         (["compare", "chestnut", "-o", "out", "--size", "16384x16384"], 1, "268435456 pixels"),

@@ -72,6 +72,19 @@ LONG_CALLS = {
         "tl.render(scene, camera, samples=16)",
     ),
     "bake": ("", "tl.Slicings.build(plant, slicing_count=64, resolution=1024, samples=256)"),
+    "bake cards": (
+        "",
+        "tl.LeafClusters.build(plant, cluster_count=(128, 64), resolution=256, samples=256)",
+    ),
+    "map leaves": (
+        "plant = tl.grow_plant('chestnut', leaf_count=20_000)",
+        "tl.LeafClusters.build(plant, texturing='indirect', texels_per_leaf=32)",
+    ),
+    "turn leaves": (
+        "",
+        "[tl.LeafClusters.build(plant, cluster_count=range(400, 0, -1), flatten='rotate', "
+        "resolution=8) for _ in range(20)]",
+    ),
     "compare": (
         "from treelod.comparison import compare_techniques",
         "compare_techniques(plant, {'full_mesh': {}, 'slicings': {}}, "

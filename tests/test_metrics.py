@@ -6,9 +6,11 @@ import flip_evaluator
 import numpy as np
 import pytest
 
+import treelod as tl
+from made_plants import random_crown
 from treelod.cameras import Camera
 from treelod.color import composite, linear_from_srgb, srgb_from_linear
-from treelod.metrics import compare, compare_arrays, flip_map, measured_region
+from treelod.metrics import compare, compare_arrays, flip_map, measured_region, popping
 
 FLIP_TOLERANCE = 1e-4
 """OpenImageIO and NVIDIA's evaluator differ by up to 7e-5 in f32 on white noise."""
@@ -293,3 +295,25 @@ def test_arrays_refuse_pictures_that_do_not_fit():
         compare_arrays(flat(0.5), flat(np.nan), **keywords)
     with pytest.raises(ValueError, match="reference must have shape"):
         compare_arrays(np.zeros((0, 4, 4)), np.zeros((0, 4, 4)), **keywords)
+
+
+def test_popping_is_what_the_two_sides_differ_by():
+    plant = random_crown(60)
+    camera = tl.orbit(plant, count=1, size=(64, 48))[0]
+    sides = tl.FullMesh.build(plant), tl.Slicings.build(plant, slice_count=2, resolution=16)
+    frames = [tl.render(side, camera, samples=16) for side in sides]
+    found = popping(*sides, camera, samples=16, ppd=40.0)
+    assert found == compare(*frames, ppd=40.0)
+    assert found.flip > 0.01
+    # the first decides the region, as a reference does
+    assert popping(*sides[::-1], camera, samples=16).coverage_bias == pytest.approx(
+        -found.coverage_bias, rel=0.2
+    )
+    assert popping(sides[0], sides[0], camera, samples=1).flip == 0.0
+    for bad, name in (
+        ({"ppd": 0}, "ppd"),
+        ({"samples": 2}, "samples"),
+        ({"threads": 0}, "threads"),
+    ):
+        with pytest.raises(ValueError, match=name):
+            popping(*sides, camera, **bad)

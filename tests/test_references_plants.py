@@ -14,7 +14,8 @@ import treelod as tl
 from made_plants import crown, facing, quads, random_crown
 from treelod import _core, references
 from treelod.cli import app
-from treelod.references import color, coverage, geometry, mitsuba, slices, visibility
+from treelod.references import baked, color, coverage, geometry, mitsuba, slices, visibility
+from treelod.references.clusters import ClusterSettings
 from treelod.references.coverage import SliceSettings
 from treelod.references.soup import foliage_soup
 from treelod.references.validation import QUICK, Extent
@@ -25,8 +26,21 @@ SMALL = Extent(
     color_spp=128,
     alpha_spp=128,
     slices=SliceSettings(side=64, precise_count=1, precise_spp=128, slicing_count=1, spp=64),
+    clusters=ClusterSettings(
+        side=128,
+        cluster_count=8,
+        card_count=1,
+        turned_count=1,
+        precise_count=1,
+        precise_spp=128,
+        spp=64,
+        rays=(256, 192),
+    ),
 )
-"""One view and one slice a plant with many samples; the slicing's other slices with 64."""
+"""
+One view, one slice and one card of each kind a plant with many samples; the slicing's other slices
+and the cards' backs with 64.
+"""
 
 PLANTS = [
     "chestnut",
@@ -95,7 +109,7 @@ def test_a_plant_is_as_the_references_draw_it(load, name):
     found = references.validate(load(name), extent=SMALL)
     assert failures(found.sections) == []
     assert found.left_out == []
-    assert len([check for section in found.sections for check in section.checks]) == 20
+    assert len([check for section in found.sections for check in section.checks]) == 42
 
 
 @pytest.mark.slow
@@ -257,12 +271,12 @@ def test_blocks_find_a_leaf_of_two_texels_and_no_noise():
     rng = np.random.default_rng(11)
     share = rng.uniform(0, 1, (64, 64)) * (rng.uniform(size=(64, 64)) < 0.5)
     ours, theirs = (rng.binomial(n, share) / n for n in (16, 64))
-    assert coverage.largest_z(ours, theirs, 64) < coverage.MAX_Z
+    assert baked.largest_z(ours, theirs, 64) < baked.MAX_Z
     bare = np.zeros((64, 64))
     leaf = bare.copy()
     leaf[20:22, 30] = 1.0
-    assert coverage.largest_z(bare, bare, 64) == 0.0
-    assert coverage.largest_z(leaf, bare, 64) > coverage.MAX_Z
+    assert baked.largest_z(bare, bare, 64) == 0.0
+    assert baked.largest_z(leaf, bare, 64) > baked.MAX_Z
 
 
 def test_pieces_that_touch_and_count_as_two_are_found(monkeypatch):
@@ -319,7 +333,7 @@ def test_a_wrong_texture_fails_where_mitsuba_finds_nothing(value):
     empty = np.zeros((8, 8))
     ours = empty.copy()
     ours[3, 4] = value
-    share = coverage._precise(2, ours, empty, empty)[1]
+    share = baked.precise("slice 2", ours, empty, empty)[1]
     assert share.passed == (value == 0.0)
 
 
@@ -331,6 +345,17 @@ TINY = Extent(
     color_spp=64,
     alpha_spp=64,
     slices=SliceSettings(side=32, precise_count=1, precise_spp=64, slicing_count=1, spp=64),
+    clusters=ClusterSettings(
+        # a straight edge along texels is off by up to a 32nd of one, which a small texture shows
+        side=128,
+        cluster_count=2,
+        card_count=1,
+        turned_count=1,
+        precise_count=1,
+        precise_spp=64,
+        spp=64,
+        rays=(64, 48),
+    ),
 )
 
 
@@ -349,7 +374,8 @@ def test_masks_wrapped_in_two_ways_are_left_out_and_said_so(wrap):
     found = references.validate(masked(wrap), extent=TINY)
     assert failures(found.sections) == []
     titles = [section.title for section in found.sections]
-    assert ("Coverage of slices" in titles) == (wrap[0] == wrap[1])
+    for title in ("Coverage of slices", "Leaf clusters"):
+        assert (title in titles) == (wrap[0] == wrap[1])
     assert len(found.left_out) == (wrap[0] != wrap[1])
     assert "Lit colour" in titles, "embree wraps each axis on its own"
 
