@@ -220,10 +220,11 @@ impl LeafClusters {
             .into_iter()
             .map(|level| {
                 let flat = flattened(&leaves, &level, params.flatten);
-                let impostors = impostors(&flat, &level, params.outline);
+                let impostors = impostors(&leaves, &flat, &level, params.outline);
                 baker.sizes(&leaves, impostors).map(|sized| (level, sized))
             })
             .collect::<Result<_, LodError>>()?;
+        baker.prepare(&leaves)?;
         job.begin(made.iter().map(|(_, sized)| sized.tile_count() as u64).sum());
         for (level, sized) in made {
             // made again, since all levels' leaves at once would be many times the plant
@@ -322,7 +323,8 @@ impl LeafClusters {
     fn choose(&self, view: &View, crown: &Crown) -> Choice {
         let Built { errors, center, radius, .. } = &*self.built;
         let distance = if view.is_orthographic() {
-            view.view_from_world(crown.world_from_local.transform_point3(*center)).z
+            let depth = view.view_from_world(crown.world_from_local.transform_point3(*center)).z;
+            depth / level_rule::scale(crown)
         } else {
             (crown.local_eye(view) - *center).length()
         };

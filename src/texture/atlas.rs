@@ -11,9 +11,9 @@
 
 use glam::Vec4;
 
-use crate::error::{LodError, check_in};
+use crate::error::{LodError, check_in, check_limit};
 use crate::texture::linear::LinearImage;
-use crate::texture::texture::{Image, MAX_TEXTURE_SIDE, check_size};
+use crate::texture::texture::{Image, MAX_TEXEL_COUNT, MAX_TEXTURE_SIDE, check_size};
 
 /// The empty border between cards takes at most this share of a card's side.
 const BORDER_SHARE: f64 = 1.0 / 16.0;
@@ -60,6 +60,9 @@ impl Atlas {
         sizes: &[(u32, u32)],
         level_count: u32,
     ) -> Result<Self, LodError> {
+        if sizes.is_empty() {
+            return Err(LodError::Empty { name, why: "an atlas needs a card" });
+        }
         check_in("level_count", level_count, 1..=MAX_LEVEL_COUNT)?;
         for &(width, height) in sizes {
             check_size(name, width, height)?;
@@ -78,11 +81,13 @@ impl Atlas {
             .map(|width| (shelves(&cells, &order, width).0, width))
             .filter(|&(height, width)| (height.max(width) + 1) * cell <= MAX_TEXTURE_SIDE.into())
             .min_by_key(|&(height, width)| (height * width, height.max(width), width));
-        // what does not fit is refused by its area
-        let (height, width) = best.unwrap_or((total.div_ceil(widest), widest));
-        let sides =
-            [width, height].map(|side| u32::try_from((side + 1) * cell).unwrap_or(u32::MAX));
-        check_size(name, sides[0], sides[1])?;
+        let Some((height, width)) = best else {
+            // too large altogether, or a card that is as long as a texture with its borders
+            let asked = (total * cell * cell).max(MAX_TEXEL_COUNT + 1);
+            return Err(LodError::Limit { name, asked, limit: MAX_TEXEL_COUNT, unit: "texels" });
+        };
+        let sides = [width, height].map(|side| u32::try_from((side + 1) * cell).expect("filtered"));
+        check_limit(name, u64::from(sides[0]) * u64::from(sides[1]), MAX_TEXEL_COUNT, "texels")?;
         let (_, places) = shelves(&cells, &order, width);
         let to_texel = |at: u64| u32::try_from((at + 1) * cell).expect("inside the texture");
         Ok(Self {
@@ -222,6 +227,9 @@ mod tests {
             let text = Atlas::new("resolution", &sizes).expect_err("too large").to_string();
             assert!(text.starts_with("resolution"), "{what}: {text}");
         }
+        // a card with its borders is longer than a texture, though its area is small
+        let long = Atlas::new("texels_per_metre", &[(16_384, 180), (3500, 3500)]);
+        assert!(long.is_err(), "too long");
         assert!(Atlas::new("resolution", &[]).is_err(), "no card");
         assert!(Atlas::new("resolution", &[(4, 0)]).is_err(), "no texel");
     }

@@ -1,9 +1,9 @@
 //! Every leaf to its nearest plane, and as few leaves looked at as can be.
 //!
 //! Each leaf keeps two bounds: the root of its plane's error is not above the one, that of no other
-//! plane is below the other. When planes move, the bounds move with them ([`moves`](super::moves)),
+//! plane is below the other. When planes move, the bounds move with them (`moves`),
 //! and while they do not meet, the leaf needs no look. What is left is gathered, eight by eight, and
-//! compared with all planes ([`nearest`](super::nearest)).
+//! compared with all planes (`nearest`).
 //!
 //! The ids are those that a comparison of all leaves with all planes in 64 bits gives, ties to the
 //! lower id, whatever was skipped, at any vector width and on any number of threads.

@@ -83,6 +83,18 @@ impl<'a> Baker<'a> {
         Self { plant, params, job, renderer, texel_count: 0, leaf_picture: None }
     }
 
+    /// Bakes the leaf that stands for all where cards name their leaves; `leaves` as they grow.
+    pub(super) fn prepare(&mut self, leaves: &Leaves<'_>) -> Result<(), LodError> {
+        let Self { params, job, .. } = *self;
+        let (keep, samples) = (self.keep(), params.sample_count);
+        if let Some(indirect) = &params.indirect {
+            let renderer = &mut self.renderer;
+            let picture = LeafPicture::new(leaves, indirect, samples, keep, renderer, job)?;
+            self.leaf_picture = Some(picture);
+        }
+        Ok(())
+    }
+
     /// Decides what is baked of a level, and how large; refuses more than there may be.
     pub(super) fn sizes(
         &mut self,
@@ -90,8 +102,10 @@ impl<'a> Baker<'a> {
         impostors: Vec<Impostor>,
     ) -> Result<Sized, LodError> {
         let sizes: Vec<_> = impostors.iter().map(|card| self.size(leaves, card)).collect();
-        for (width, height) in sizes.iter().flatten().flatten() {
-            self.texel_count += u64::from(*width) * u64::from(*height);
+        if self.params.indirect.is_none() {
+            for (width, height) in sizes.iter().flatten().flatten() {
+                self.texel_count += u64::from(*width) * u64::from(*height);
+            }
         }
         check_limit(self.argument(), self.texel_count, MAX_TOTAL_TEXELS, "texels")?;
         Ok(Sized { impostors, sizes })
@@ -235,21 +249,13 @@ impl<'a> Baker<'a> {
         tiles: &[Tile<'_>],
         indirect: &Indirect,
     ) -> Result<Baked, LodError> {
-        let Self { params, job, .. } = *self;
-        let keep = self.keep();
-        let picture = match self.leaf_picture.take() {
-            Some(picture) => picture,
-            None => {
-                let (samples, renderer) = (params.sample_count, &mut self.renderer);
-                LeafPicture::new(leaves, indirect, samples, keep, renderer, job)?
-            }
-        };
+        let job = self.job;
+        let picture = self.leaf_picture.as_ref().expect("baked before the cards");
         let sides: Vec<MapSide<'_>> =
             tiles.iter().map(|tile| MapSide { impostor: tile.impostor, rect: tile.rect }).collect();
-        let map = Map::new(leaves, &picture, &sides, indirect, job)?;
+        let map = Map::new(leaves, picture, &sides, indirect, job)?;
         job.advance_by(tiles.len());
         let leaf = Arc::clone(&picture.texture);
-        self.leaf_picture = Some(picture);
         let part = |[corner, size]: [Vec2; 2]| Part { corner, size, texels: None };
         let parts = map.parts.into_iter().map(part).collect();
         Ok((Picture::Indirect { map: map.distribution, leaf }, parts, map.fill))

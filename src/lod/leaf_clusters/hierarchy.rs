@@ -2,7 +2,7 @@
 //!
 //! The cost of a merge is what it adds to the total error, `E_ab - E_a - E_b`, each under its own best
 //! plane; of equal pairs the lowest indices go first. Levels are nested: every cluster has a parent in
-//! the next coarser level. O(K^2) plane fits and memory for K clusters.
+//! the next coarser level. O(K) memory; O(K^2) plane fits for K clusters as a rule, O(K^3) at worst.
 //!
 //! This work is based on:
 //! Joe H. Ward. Hierarchical grouping to optimize an objective function. 1963
@@ -129,7 +129,7 @@ impl Merging {
             let second = self.nodes[b].take().expect("alive");
             self.nodes[a] = Some(self.union(&first, &second));
             self.places.iter_mut().filter(|place| **place == b).for_each(|place| *place = a);
-            self.renew(a, b);
+            self.renew(a, b, job)?;
             left -= 1;
         }
         let kept: Vec<usize> = (0..self.nodes.len()).filter(|&a| self.nodes[a].is_some()).collect();
@@ -149,9 +149,10 @@ impl Merging {
     }
 
     /// Makes every node's best partner true again after `b` went into `a`.
-    fn renew(&mut self, a: usize, b: usize) {
+    fn renew(&mut self, a: usize, b: usize, job: &Job) -> Result<(), LodError> {
         self.find_best(a);
         for other in 0..b {
+            job.check()?;
             let Some(node) = &self.nodes[other] else { continue };
             if node.best.is_some_and(|(_, partner)| partner == a || partner == b) {
                 self.find_best(other);
@@ -168,6 +169,7 @@ impl Merging {
                 }
             }
         }
+        Ok(())
     }
 }
 

@@ -101,8 +101,13 @@ fn turn_into(from: DVec3, to: DVec3) -> DMat3 {
     DMat3::IDENTITY + cross + cross * cross * (1.0 / (1.0 + cosine))
 }
 
-/// The cards of a level.
-pub(super) fn impostors(leaves: &Leaves<'_>, level: &Level, outline: Outline) -> Vec<Impostor> {
+/// The cards of a level, from leaves as they grow and as they are baked.
+pub(super) fn impostors(
+    leaves: &Leaves<'_>,
+    flat: &Leaves<'_>,
+    level: &Level,
+    outline: Outline,
+) -> Vec<Impostor> {
     let mut members: Vec<Vec<Placed>> = vec![Vec::new(); level.planes.len()];
     for (leaf, &id) in level.cluster_ids.iter().enumerate() {
         members[id as usize].push(Placed { leaf, cut: false });
@@ -111,8 +116,21 @@ pub(super) fn impostors(leaves: &Leaves<'_>, level: &Level, outline: Outline) ->
         .into_par_iter()
         .zip(&level.planes)
         .zip(&level.moments)
-        .map(|((members, &plane), moments)| impostor(leaves, members, plane, moments.mean, outline))
+        .map(|((members, &plane), moments)| {
+            let (deviation_sq, vertex_count) = deviation(leaves, &members, &plane);
+            let card = impostor(flat, members, plane, moments.mean, outline);
+            Impostor { deviation_sq, vertex_count, ..card }
+        })
         .collect()
+}
+
+/// Sum of squared distances of leaves' vertices from a plane, and how many those are.
+fn deviation(leaves: &Leaves<'_>, members: &[Placed], plane: &Plane) -> (f64, usize) {
+    let vertices = members.iter().flat_map(|placed| leaves.vertices_of(placed.leaf));
+    vertices.fold((0.0, 0), |(sum, count), vertex| {
+        let distance = plane.distance(vertex + leaves.center);
+        (sum + distance * distance, count + 1)
+    })
 }
 
 fn impostor(
@@ -131,17 +149,14 @@ fn impostor(
     let across = normal.any_orthonormal_vector();
     let along = normal.cross(across);
     let mut points = Vec::new();
-    let (mut deviation_sq, mut reach) = (0.0, 0.0_f64);
+    let mut reach = 0.0_f64;
     for placed in &members {
         for vertex in leaves.vertices_of(placed.leaf) {
             let from = vertex + leaves.center - start;
             points.push(DVec2::new(from.dot(across), from.dot(along)));
-            let distance = from.dot(normal);
-            deviation_sq += distance * distance;
-            reach = reach.max(distance.abs());
+            reach = reach.max(from.dot(normal).abs());
         }
     }
-    let vertex_count = points.len();
     let found = min_area_rectangle(&points).expect("a cluster has a leaf, and a leaf has vertices");
     // leaves in a line or in a point still need a card
     let least = (leaves.radius * FLAT).max(LEAST_SIZE * FLAT);
@@ -169,6 +184,7 @@ fn impostor(
         }
     };
     let outline = corners;
+    let (deviation_sq, vertex_count) = (0.0, 0);
     Impostor { plane, mean, rect, outline, leaves: members, deviation_sq, vertex_count }
 }
 

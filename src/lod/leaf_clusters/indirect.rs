@@ -36,7 +36,13 @@ use crate::texture::{Distribution, Filter, Sampler, Texture, Wrap};
 /// Points a side of a texel at which it is asked which leaves show there; 64 in all, a bit each.
 const PROBES: u32 = 8;
 
-/// Texels of all maps together.
+/// Texels that are filled between looks at the job.
+const TEXELS_PER_CHECK: usize = 1 << 14;
+
+/// Pairs of a leaf and a texel that it may show in, of a level: gigabytes beyond.
+const MAX_PAIRS: u64 = 1 << 27;
+
+/// Texels of a level's map, all layers.
 const MAX_MAP_TEXELS: u64 = 1 << 26;
 
 /// How leaves are named.
@@ -98,7 +104,7 @@ impl LeafPicture {
         let center = leaves.leaf_centers[leaf];
         let points = flat_points(leaves, leaf, x, y);
         let radius = points.iter().map(|p| p.length()).fold(0.0, f64::max);
-        let side = (2.0 * radius).max(LEAST_SIZE * LEAST_SIZE);
+        let side = (2.0 * radius).max(LEAST_SIZE);
         let resolution = params.leaf_resolution;
         let sizes = vec![(resolution, resolution); params.rotation_count];
         let atlas = Atlas::new("leaf_resolution", &sizes)?;
@@ -217,6 +223,9 @@ impl Map {
         let size = |metres: f64| (metres / texel).ceil().max(1.0) as u32;
         let sizes: Vec<_> =
             sides.iter().map(|s| (size(s.rect.width), size(s.rect.height))).collect();
+        let named: u64 = sides.iter().map(|side| side.impostor.leaves.len() as u64).sum();
+        let across = u64::from(params.texels_per_leaf) + 1;
+        check_limit("texels_per_leaf", named * across * across, MAX_PAIRS, "leaves in texels")?;
         let atlas = Atlas::with_levels("texels_per_leaf", &sizes, 1)?;
         let map_size = DVec2::new(f64::from(atlas.width), f64::from(atlas.height));
         let leaf_size = DVec2::splat(f64::from(params.texels_per_leaf)) / map_size;
@@ -243,7 +252,7 @@ impl Map {
             .map(|((laid, &at), &size)| {
                 job.check()?;
                 let places = laid.iter().map(|leaf| place(leaf, at)).collect::<Vec<_>>();
-                Ok(fill(picture, laid, &places, size, side / texel, texel, params.layer_count))
+                fill(picture, laid, &places, size, side / texel, texel, params.layer_count, job)
             })
             .collect::<Result<_, LodError>>()?;
         let texel_count = atlas.width as usize * atlas.height as usize;
@@ -368,6 +377,7 @@ fn laid_leaves(leaves: &Leaves<'_>, picture: &LeafPicture, side: &MapSide<'_>) -
 ///
 /// A leaf is named where most of what is not hidden by named leaves before it is, until the layers
 /// are full; the nearest is then put first.
+#[expect(clippy::too_many_arguments, reason = "called from one place")]
 fn fill(
     picture: &LeafPicture,
     laid: &[Laid],
@@ -376,10 +386,12 @@ fn fill(
     texels_per_leaf: f64,
     texel: f64,
     layer_count: usize,
-) -> Vec<Vec<LeafPlace>> {
+    job: &Job,
+) -> Result<Vec<Vec<LeafPlace>>, LodError> {
     let sampler = Sampler { wrap: [Wrap::Clamp; 2], filter: Filter::Bilinear };
     let mut shown: Vec<Vec<(usize, u64)>> = vec![Vec::new(); width as usize * height as usize];
     for (number, leaf) in laid.iter().enumerate() {
+        job.check()?;
         let corner = leaf.center / texel - texels_per_leaf * 0.5;
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
         let range = |low: f64, size: u32| {
@@ -413,6 +425,9 @@ fn fill(
     }
     let mut layers = vec![vec![LeafPlace::NONE; shown.len()]; layer_count];
     for (at, candidates) in shown.iter().enumerate() {
+        if at % TEXELS_PER_CHECK == 0 {
+            job.check()?;
+        }
         let mut named: Vec<usize> = Vec::new();
         let mut covered = 0_u64;
         while named.len() < layer_count {
@@ -428,5 +443,5 @@ fn fill(
             layer[at] = places[number];
         }
     }
-    layers
+    Ok(layers)
 }

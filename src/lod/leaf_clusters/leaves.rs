@@ -2,7 +2,7 @@
 //!
 //! Centres are taken relative to the middle of their box and divided by a power of two that brings
 //! them into [-1, 1], so that a crown far away or of any size has all its digits, and 32 bits do not
-//! overflow. They are rounded to the grid of [`sums`](super::sums): by at most 2^-47 of the crown.
+//! overflow. They are rounded to the grid of `sums`: by at most 2^-47 of the crown.
 
 use glam::{DVec3, Vec3};
 

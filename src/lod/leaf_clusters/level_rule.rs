@@ -57,10 +57,15 @@ impl LevelRule {
 impl Seen<'_> {
     /// Of a pixel, in the crown's own metres, where the crown is nearest.
     fn pixel_size(&self) -> f64 {
-        let scale = self.crown.world_from_local.matrix3.determinant().abs().cbrt();
+        let scale = scale(self.crown);
         let depth = ((self.distance_rel - 1.0) * self.radius * scale).max(self.view.near);
         self.view.pixel_size_at(depth) / scale
     }
+}
+
+/// How much larger a copy is than the crown itself, in the mean of all directions.
+pub(super) fn scale(crown: &Crown) -> f64 {
+    libm::cbrt(crown.world_from_local.matrix3.determinant().abs())
 }
 
 /// The last level with an error of at most `allowed`, and how far `allowed` is towards the next.

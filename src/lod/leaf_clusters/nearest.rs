@@ -7,7 +7,7 @@
 //! ```
 //!
 //! which takes six products and six sums. Where the two best planes are nearer to one another than
-//! rounding may have moved them, the caller asks again in 64 bits ([`exact`]): the answer is always
+//! rounding may have moved them, the caller asks again in 64 bits (`exact`): the answer is always
 //! the one of 64 bits.
 //!
 //! The bound. Let `u = 2^-24`, `t = |p| + |m| + max |d|`. Each of the two distances takes six roundings

@@ -406,6 +406,25 @@ fn indirect_cards_show_the_leaves_too() {
 }
 
 #[test]
+fn turned_leaves_are_named_as_they_grow() {
+    // leaves that face x, in a plane that faces z: the leaf that stands for all is seen along its own
+    // normal, not along one that has been turned away
+    let leaf = |i: u8| {
+        let at = Vec3::new(f32::from(i % 5) * 2.0, f32::from(i / 5) * 2.0, 0.0);
+        (at, Vec3::Y * 0.5, Vec3::Z * 0.5)
+    };
+    let crown = plant(&(0..25).map(leaf).collect::<Vec<_>>());
+    let with =
+        Params { alpha: Alpha::SquareMetres(0.0), flatten: Flatten::Rotate, ..params(&[1], 256) };
+    let view = View { eye: DVec3::new(4.0, 4.0, 90.0), ..parallel(DVec3::Z, DVec3::Y, 12.0, 96) };
+    let direct = mean_alpha(&build(&crown, &with), &view);
+    let fine = Indirect { leaf_resolution: 64, texels_per_leaf: 8, ..INDIRECT };
+    let indirect = mean_alpha(&build(&crown, &Params { indirect: Some(fine), ..with }), &view);
+    assert!((direct / (25.0 / 144.0) - 1.0).abs() < 0.05, "a square metre each: {direct}");
+    assert!((indirect / direct - 1.0).abs() < 0.05, "{indirect} for {direct}");
+}
+
+#[test]
 fn an_indirect_leaf_lies_where_the_leaf_does() {
     // long thin leaves in one plane: only the right turn covers them
     let leaf = |i: u8| {
