@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from treelod import _core
+from treelod.techniques.technique import number, whole
 
 __all__ = ["LeafClustering", "PlaneMisses", "cluster_leaves", "plane_misses"]
 
@@ -132,12 +133,12 @@ def cluster_leaves(
     ids, planes, errors, converged = _core.cluster_leaves(
         near,
         _rows("normals", normals),
-        cluster_count=cluster_count,
-        alpha=alpha,
+        cluster_count=whole("cluster_count", cluster_count, 0),
+        alpha=number("alpha", alpha),
         init=_init(init, origin),
-        seed=seed,
-        restarts=restarts,
-        max_iterations=max_iterations,
+        seed=whole("seed", seed, 0, 2**64),
+        restarts=whole("restarts", restarts, 0),
+        max_iterations=whole("max_iterations", max_iterations, 0),
         eigen=eigen,
         threads=threads,
         progress=progress,

@@ -83,6 +83,8 @@ class Cluster:
         Leaf of each triangle.
     turned : bool
         Whether the leaves have been turned, so that all are parallel to the plane.
+    distances : ndarray of shape (V,)
+        Signed distance in metres of each corner of each triangle from the plane as leaves grow.
     """
 
     number: int
@@ -91,6 +93,7 @@ class Cluster:
     leaves: Soup
     leaf_of: NDArray[np.int64]
     turned: bool
+    distances: NDArray[np.float64]
 
     @property
     def leaf_count(self) -> int:
@@ -185,6 +188,7 @@ def clusters_of(plant: Plant, lod: LeafClusters, level: int = 0) -> list[Cluster
     planes = np.where(planes[:, 1:2] < 0.0, -planes, planes)
     leaf_of = np.repeat(np.arange(plant.foliage.leaf_count), np.diff(plant.foliage.leaf_offsets))
     turned = lod.params["flatten"] == "rotate"
+    grown = soup.corners
     if turned:
         soup = _turned(plant, soup, leaf_of, planes[ids, :3])
     return [
@@ -195,6 +199,8 @@ def clusters_of(plant: Plant, lod: LeafClusters, level: int = 0) -> list[Cluster
             leaves=soup.take(ids[leaf_of] == number),
             leaf_of=leaf_of[ids[leaf_of] == number],
             turned=turned,
+            distances=grown[ids[leaf_of] == number].reshape(-1, 3) @ plane[:3]
+            + float(plane[3] + plane[:3] @ plant.origin),
         )
         for number, plane in enumerate(planes)
     ]

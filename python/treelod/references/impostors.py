@@ -177,8 +177,8 @@ def place_checks(
             thin_count += 1
         else:
             area_errors.append(abs(lengths[0] * lengths[1] / theirs - 1.0))
-    deviations = np.concatenate([cluster.deviations for cluster in clusters])
-    error = float(np.sqrt(np.mean(deviations**2)))
+    distances = np.concatenate([cluster.distances for cluster in clusters])
+    error = float(np.sqrt(np.mean(distances**2)))
     ours = lod.level_errors[0]
     shares = {
         "largest overhang of a vertex": float(np.max(overhangs)) / reach,

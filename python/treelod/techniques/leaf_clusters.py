@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +11,14 @@ import numpy as np
 
 from treelod import _core
 from treelod.render import camera_facts, thread_count
-from treelod.techniques.technique import Technique, resolution_texels, whole, wood_facts
+from treelod.techniques.technique import (
+    Technique,
+    flag,
+    number,
+    resolution_texels,
+    whole,
+    wood_facts,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -67,7 +73,8 @@ class LeafClusters(Technique):
     kmeans_errors : list of float
         Total error in square metres after each iteration of k-means.
     converged : bool
-        Whether k-means ended because nothing changed any more.
+        Whether k-means ended before `max_iterations`: because nothing changed any more, or by less
+        than 1e-12 of the error.
     alpha : float
         Weight of the angle in use, in square metres.
     atlas_fills : list of float
@@ -159,7 +166,9 @@ class LeafClusters(Technique):
             If an argument is out of range.
         """
         params = {**self.params, "level": level, "t": t}
-        return LeafClusters(self._clusters.at(_level(level), float(t)), params, self.build_secs)
+        return LeafClusters(
+            self._clusters.at(_level(level), number("t", t)), params, self.build_secs
+        )
 
     @classmethod
     def build(
@@ -167,7 +176,7 @@ class LeafClusters(Technique):
         plant: Plant,
         *,
         cluster_count: int | Sequence[int] = 32,
-        alpha_rel: float = 0.1,
+        alpha_rel: float = 0.01,
         alpha: float | None = None,
         init: Literal["plus_plus", "random"] | ArrayLike = "plus_plus",
         seed: int = 0,
@@ -207,8 +216,9 @@ class LeafClusters(Technique):
         cluster_count : int or sequence of int, default 32
             Clusters, in 1..=4096, or those of each level, falling: ``(128, 64, 32, 16, 8)``. A
             crown of fewer leaves, or of fewer planes, has fewer. Coarser levels merge clusters of
-            finer ones.
-        alpha_rel : float, default 0.1
+            finer ones. With pictures of 512 x 512 texels on both sides a level holds about 110
+            cards: give more of them a smaller `resolution`.
+        alpha_rel : float, default 0.01
             Weight of the angle between leaf and plane against their distance, times the square of
             the crown's radius (largest distance of a leaf's vertex from the centre of the box of
             leaf centres); at least 0.
@@ -278,7 +288,8 @@ class LeafClusters(Technique):
         threads : int, optional
             Threads that work. Default: ``TREELOD_NUM_THREADS``, else all cores.
         progress : callable, optional
-            Called as ``progress(done, total)`` with card sides baked.
+            Called as ``progress(done, total)``: with iterations of k-means, then from 0 again with
+            card sides baked.
 
         Returns
         -------
@@ -316,17 +327,19 @@ class LeafClusters(Technique):
         distances = None if level_distances is None else _distances(level_distances)
         facts: dict[str, Any] = {
             "cluster_counts": counts,
-            "alpha": None if alpha is None else float(alpha),
-            "alpha_rel": float(alpha_rel),
+            "alpha": None if alpha is None else number("alpha", alpha),
+            "alpha_rel": number("alpha_rel", alpha_rel),
             "init": initial,
             "seed": whole("seed", seed, 0, 2**64),
             "restarts": whole("restarts", restarts),
             "max_iterations": whole("max_iterations", max_iterations),
             "eigen": eigen,
             "flatten": flatten,
-            "two_sided": bool(two_sided),
+            "two_sided": flag("two_sided", two_sided),
             "resolution": size,
-            "texels_per_metre": None if texels_per_metre is None else float(texels_per_metre),
+            "texels_per_metre": (
+                None if texels_per_metre is None else number("texels_per_metre", texels_per_metre)
+            ),
             "samples": whole("samples", samples),
             "format": format,
             "texturing": texturing,
@@ -336,10 +349,10 @@ class LeafClusters(Technique):
             "texels_per_leaf": whole("texels_per_leaf", texels_per_leaf),
             "drawing": drawing,
             "outline": None if outline is None else whole("outline", outline),
-            "level_error_px": float(level_error_px),
+            "level_error_px": number("level_error_px", level_error_px),
             "level_distances": distances,
-            "morph": bool(morph),
-            "fade_share": float(fade_share),
+            "morph": flag("morph", morph),
+            "fade_share": number("fade_share", fade_share),
             **wood_params,
         }
         cameras = None if views is None else [camera_facts(camera) for camera in views]
@@ -361,11 +374,7 @@ class LeafClusters(Technique):
 
 
 def _level(level: int) -> int:
-    index = operator.index(level)
-    if index < 0:
-        msg = f"level must be at least 0, got {index}"
-        raise ValueError(msg)
-    return index
+    return whole("level", level, 0)
 
 
 def _is_many(cluster_count: int | Sequence[int]) -> TypeGuard[Sequence[int]]:
@@ -378,7 +387,7 @@ def _counts(cluster_count: int | Sequence[int]) -> list[int]:
         raise TypeError(msg)
     if _is_many(cluster_count):
         return [whole("cluster_count", count) for count in cluster_count]
-    return [whole("cluster_count", operator.index(cluster_count))]  # type: ignore[arg-type]
+    return [whole("cluster_count", cluster_count)]  # type: ignore[arg-type]
 
 
 def _distances(level_distances: float | Sequence[float]) -> list[float]:

@@ -16,7 +16,16 @@ if TYPE_CHECKING:
 
     from treelod import _core
 
-__all__ = ["BakedTexture", "Footprint", "Technique", "resolution_texels", "whole", "wood_facts"]
+__all__ = [
+    "BakedTexture",
+    "Footprint",
+    "Technique",
+    "flag",
+    "number",
+    "resolution_texels",
+    "whole",
+    "wood_facts",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +154,7 @@ def wood_facts(*, wood: bool, wood_triangle_count: int | None) -> dict[str, Any]
     if wood_triangle_count is not None and operator.index(wood_triangle_count) < 1:
         msg = f"wood_triangle_count must be at least 1 or None, got {wood_triangle_count}"
         raise ValueError(msg)
-    return {"wood": bool(wood), "wood_triangle_count": wood_triangle_count}
+    return {"wood": flag("wood", wood), "wood_triangle_count": wood_triangle_count}
 
 
 def whole(name: str, value: int, low: int = 1, end: int = 2**32) -> int:
@@ -167,15 +176,77 @@ def whole(name: str, value: int, low: int = 1, end: int = 2**32) -> int:
 
     Raises
     ------
+    TypeError
+        If it is no whole number.
     ValueError
-        If the value is out of range.
+        If it is out of range.
     """
-    count = operator.index(value)
+    try:
+        count = operator.index(value)
+    except TypeError:
+        msg = f"{name} must be a whole number, got {value!r}"
+        raise TypeError(msg) from None
     if not low <= count < end:
         bound = f"2**{end.bit_length() - 1}" if end.bit_count() == 1 else str(end)
         msg = f"{name} must be at least {low} and below {bound}, got {count}"
         raise ValueError(msg)
     return count
+
+
+def number(name: str, value: float) -> float:
+    """
+    Return a number as the core takes it.
+
+    Parameters
+    ----------
+    name : str
+        The argument, for the message.
+    value : float
+        Any number.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    TypeError
+        If it is no number.
+    """
+    if isinstance(value, str | bytes | bool):
+        msg = f"{name} must be a number, got {value!r}"
+        raise TypeError(msg)
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        msg = f"{name} must be a number, got {value!r}"
+        raise TypeError(msg) from None
+
+
+def flag(name: str, value: object) -> bool:
+    """
+    Return True or False.
+
+    Parameters
+    ----------
+    name : str
+        The argument, for the message.
+    value : object
+        A bool, or a number that is 0 or 1.
+
+    Returns
+    -------
+    bool
+
+    Raises
+    ------
+    TypeError
+        If it is anything else.
+    """
+    if isinstance(value, bool | np.bool_) or (isinstance(value, int) and value in (0, 1)):
+        return bool(value)
+    msg = f"{name} must be True or False, got {value!r}"
+    raise TypeError(msg)
 
 
 def resolution_texels(name: str, resolution: int | tuple[int, int]) -> tuple[int, int]:
