@@ -62,7 +62,7 @@ def test_facts_of_a_build():
     )
     assert lod.params == {
         "cluster_count": 2,
-        "alpha_rel": 0.1,
+        "alpha_rel": 0.01,
         "alpha": None,
         "init": "plus_plus",
         "seed": 0,
@@ -96,7 +96,7 @@ def test_facts_of_a_build():
     assert lod.level_errors == [0.0]
     assert lod.kmeans_errors[-1] == 0.0
     # R reaches from the middle (0, 1, 1.5) to a corner
-    assert lod.alpha == pytest.approx(0.1 * (1.5**2 + 0.5**2 + 1.5**2), rel=1e-12)
+    assert lod.alpha == pytest.approx(0.01 * (1.5**2 + 0.5**2 + 1.5**2), rel=1e-12)
     assert lod.cluster_ids.dtype == np.uint32
     assert sorted(lod.cluster_ids.tolist()) == [0, 0, 1, 1]
     assert lod.planes.shape == (2, 4)
@@ -353,15 +353,16 @@ INDIRECT = {"layers": 4, "rotation_count": 16, "leaf_resolution": 16, "texels_pe
 
 
 def test_indirect_texturing_names_leaves(plant, camera):
-    direct = build(plant, resolution=64)
-    base = build(plant, texturing="indirect", **{**INDIRECT, "texels_per_leaf": 4})
+    direct = build(plant, resolution=64, alpha_rel=0.1)
+    base = build(plant, alpha_rel=0.1, texturing="indirect", **{**INDIRECT, "texels_per_leaf": 4})
     assert [texture.name for texture in base.textures] == ["leaf at every angle"]
     assert all(side.texels is None for side in base.card_sides_at(0))
     # leaves of one kind: as much is covered, though other leaves are left out where many lie
     alphas = [picture(lod, camera)[..., 3].mean() for lod in (direct, base)]
     assert alphas[1] == pytest.approx(alphas[0], rel=0.15)
     for ignored in ({"resolution": 8}, {"texels_per_metre": 3.0}, {"format": "rgb5a1"}):
-        again = build(plant, texturing="indirect", **{**INDIRECT, "texels_per_leaf": 4}, **ignored)
+        texels = {**INDIRECT, "texels_per_leaf": 4}
+        again = build(plant, alpha_rel=0.1, texturing="indirect", **texels, **ignored)
         assert (picture(again, camera) == picture(base, camera)).all()
 
 

@@ -77,8 +77,8 @@ LONG_CALLS = {
         "tl.LeafClusters.build(plant, cluster_count=(128, 64), resolution=256, samples=256)",
     ),
     "map leaves": (
-        "plant = tl.grow_plant('chestnut', leaf_count=20_000)",
-        "tl.LeafClusters.build(plant, texturing='indirect', texels_per_leaf=32)",
+        "plant = tl.grow_plant('chestnut', leaf_count=6000)",
+        "tl.LeafClusters.build(plant, cluster_count=1, texturing='indirect', texels_per_leaf=32)",
     ),
     "turn leaves": (
         "",

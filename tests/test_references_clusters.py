@@ -243,7 +243,8 @@ def seen(plant):
     density = (
         check_cameras(plant, (128, 96))["orthographic"].pixels_per_metre(1.0) / card_depth.TEXEL_PX
     )
-    return build(plant, 6, texels_per_metre=density)
+    # planes along the leaves: those that a smaller weight finds lie across many of them
+    return build(plant, 6, alpha_rel=0.1, texels_per_metre=density)
 
 
 @pytest.mark.parametrize("kind", ["perspective", "orthographic"])
@@ -254,10 +255,14 @@ def test_cards_are_where_rays_meet_them(plant, seen, kind):
     hits = first_cards(seen.card_sides_at(0), planes, camera, plant.origin)
     checks = depth_agreement(depth, hits, kind, size=size)
     assert failed(checks) == []
-    assert (np.isfinite(depth) & ~hits.unsure).mean() > 0.1
-    # one card a hundredth of the crown further off
+    # enough of the picture is compared
+    assert (np.isfinite(depth) & ~hits.unsure).mean() > 0.05
+    # the card that is seen most, a hundredth of the crown further off
+    ids = frame.ids[np.isfinite(depth)].astype(np.int64) - len(plant.wood.triangles)
+    most = int(np.bincount(ids[ids >= 0]).argmax())
+    step = 0.01 * planes[most, :3]
     moved = [
-        dataclasses.replace(s, corners=s.corners + 0.01 * planes[0, :3]) if s.cluster == 0 else s
+        dataclasses.replace(s, corners=s.corners + step) if s.cluster == most else s
         for s in seen.card_sides_at(0)
     ]
     found = depth_agreement(
