@@ -70,7 +70,7 @@ def show_techniques() -> None:
     plant = tl.grow_plant("chestnut")
     panels = [("full mesh", picture(tl.FullMesh.build(plant), plant))]
     for caption, params in {
-        "128 cards": {"cluster_count": 128},
+        "128 cards": {"cluster_count": 128, "resolution": 256},
         "32 cards": {},
         "8 cards": {"cluster_count": 8},
         "32, indirect": {"texturing": "indirect"},
