@@ -111,6 +111,9 @@ def test_ids_are_the_same_by_all_ways_and_on_all_threads(simd):
                 centers, normals, **facts, method=method, threads=threads, simd=simd
             )
         except ValueError as error:
+            # any other refusal is a fault
+            if str(error) != f"simd: this machine has no {simd}":
+                raise
             pytest.skip(str(error))
         for one, other in zip(got, naive, strict=True):
             np.testing.assert_array_equal(one, other)
