@@ -2,6 +2,7 @@
 //!
 //! No technique knows another, and nothing outside this folder knows any.
 
+pub mod foliage_hierarchy;
 pub mod full_mesh;
 pub mod leaf_clusters;
 pub mod slicings;
