@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use crate::draw_list::{Blend, Buffers, Geometry, Item, Primitive, Source, Surface};
+use crate::draw_list::{Blend, Buffers, DrawList, Geometry, Item, Primitive, Source, Surface};
 use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture};
 use crate::plant::{AlphaMode, Material, Mesh};
 use crate::texture::mips::{self, Keep};
@@ -71,6 +71,46 @@ fn prepare(
     ready
 }
 
+/// Materials whose textures are ready to be read with a filter.
+pub(crate) fn ready_to_draw(materials: &[Material], filter: Filter) -> Vec<Material> {
+    let mut prepared: Vec<(u64, Blend, Arc<Texture>)> = Vec::new();
+    let ready = materials.iter().map(|material| Material {
+        sampler: Sampler { filter, ..material.sampler },
+        texture: material
+            .texture
+            .as_ref()
+            .map(|texture| prepare(texture, blend_of(material), filter, &mut prepared)),
+        ..material.clone()
+    });
+    ready.collect()
+}
+
+/// What a material looks like in a draw list.
+pub(crate) fn surface_of(material: &Material, list: &mut DrawList) -> Surface {
+    material.texture.as_ref().map_or(Surface::VertexColor, |texture| Surface::Textured {
+        texture: list.texture(texture),
+        sampler: material.sampler,
+    })
+}
+
+/// The textures of some of the materials, each once, in their order.
+pub(crate) fn textures_of(
+    materials: &[Material],
+    indices: impl Iterator<Item = u32>,
+) -> Vec<NamedTexture> {
+    let mut named: Vec<NamedTexture> = Vec::new();
+    for index in indices {
+        let material = &materials[index as usize];
+        if let Some(texture) = &material.texture
+            && !named.iter().any(|known| known.texture.id() == texture.id())
+        {
+            let (name, texture) = (material.name.clone(), Arc::clone(texture));
+            named.push(NamedTexture { name, texture, rect: None });
+        }
+    }
+    named
+}
+
 impl Solid {
     /// Takes meshes over, in order, each with the ids of its triangles.
     pub fn new(meshes: &[(&Mesh, Vec<u32>)], materials: &[Material], filter: Filter) -> Self {
@@ -97,18 +137,7 @@ impl Solid {
             }
             buffers.append(Buffers::from_mesh(mesh, ids.clone()), first_vertex);
         }
-        let mut prepared: Vec<(u64, Blend, Arc<Texture>)> = Vec::new();
-        let materials = materials
-            .iter()
-            .map(|material| Material {
-                sampler: Sampler { filter, ..material.sampler },
-                texture: material
-                    .texture
-                    .as_ref()
-                    .map(|texture| prepare(texture, blend_of(material), filter, &mut prepared)),
-                ..material.clone()
-            })
-            .collect();
+        let materials = ready_to_draw(materials, filter);
         Self { geometry: Geometry::new(buffers), materials, runs, blended }
     }
 
@@ -135,20 +164,7 @@ impl Solid {
             used.chain(self.blended.iter().map(|&(_, material, _)| material)).collect();
         indices.sort_unstable();
         indices.dedup();
-        let mut named: Vec<NamedTexture> = Vec::new();
-        for index in indices {
-            let material = &self.materials[index as usize];
-            if let Some(texture) = &material.texture
-                && !named.iter().any(|known| known.texture.id() == texture.id())
-            {
-                named.push(NamedTexture {
-                    name: material.name.clone(),
-                    texture: Arc::clone(texture),
-                    rect: None,
-                });
-            }
-        }
-        named
+        textures_of(&self.materials, indices.into_iter())
     }
 
     /// Appends the triangles for every copy.
@@ -232,9 +248,7 @@ impl Solid {
     ) -> Item {
         let material = &self.materials[material as usize];
         let blend = blend_of(material);
-        let surface = material.texture.as_ref().map_or(Surface::VertexColor, |texture| {
-            Surface::Textured { texture: builder.list.texture(texture), sampler: material.sampler }
-        });
+        let surface = surface_of(material, &mut builder.list);
         Item {
             primitive: Primitive::Triangles,
             vertices: source,
@@ -254,7 +268,6 @@ mod tests {
     use glam::{DAffine3, Vec2, Vec3, Vec4};
 
     use super::*;
-    use crate::draw_list::DrawList;
     use crate::texture::Image;
     use crate::view::Projection;
 

@@ -48,25 +48,21 @@ pub struct Sphere {
     pub radius: f32,
 }
 
-/// Where a node's texture coordinates come from: one word.
-///
-/// Corner `k` takes those of corner `(k + turn) % 4` of a leaf; if `is_mirrored`, of corner
-/// `(turn + 4 - k) % 4`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Where a node's texture coordinates come from: corner `k` takes those of corner `(k + turn) % 4` of
+/// a leaf. Two words.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+#[repr(C)]
 pub struct TextureCorners {
     /// The leaf of the plant.
     pub leaf: u32,
     /// Below 4.
-    pub turn: u8,
-    /// Whether the leaf's corners are taken the other way around.
-    pub is_mirrored: bool,
+    pub turn: u32,
 }
 
 impl TextureCorners {
     /// Which corner of the leaf lends its texture coordinates to a corner of the node.
     pub fn corner(self, node_corner: usize) -> usize {
-        let turn = usize::from(self.turn);
-        if self.is_mirrored { (turn + 4 - node_corner) % 4 } else { (turn + node_corner) % 4 }
+        (self.turn as usize + node_corner) % 4
     }
 }
 
