@@ -26,7 +26,7 @@ from treelod.errors import (
 from treelod.plants import Foliage, Lighting, Material, Mesh, Plant, grow_plant, load_plant
 from treelod.render import Frame, render, time_frames
 from treelod.scenes import Scene
-from treelod.techniques import FullMesh, LeafClusters, Slicings
+from treelod.techniques import FullMesh, LeafClusters, SimplifiedMesh, Slicings
 
 if TYPE_CHECKING:
     from treelod import metrics
@@ -50,6 +50,7 @@ __all__ = [
     "Plant",
     "PlantFileError",
     "Scene",
+    "SimplifiedMesh",
     "Slicings",
     "StoreError",
     "TreelodError",

@@ -23,6 +23,7 @@ __all__ = [
     "peak_rate",
     "plane_misses",
     "preset_names",
+    "simplified_mesh",
     "slicings",
     "smooth_normals",
     "sphere_directions",
@@ -205,6 +206,9 @@ def slicings(
     threads: int | None,
     progress: Callable[[int, int], object] | None,
 ) -> tuple[Representation, dict[str, Any]]: ...
+def simplified_mesh(
+    plant: Plant, facts: dict[str, Any], *, progress: Callable[[int, int], object] | None
+) -> tuple[Representation, int, float]: ...
 
 @final
 class LeafClusters:

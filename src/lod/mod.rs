@@ -5,11 +5,13 @@
 pub mod foliage_hierarchy;
 pub mod full_mesh;
 pub mod leaf_clusters;
+pub mod simplified_mesh;
 pub mod slicings;
 
 pub(crate) mod leaves;
 #[cfg(test)]
 pub(crate) mod made;
+pub mod simplify;
 pub mod solid;
 pub mod view_blend;
 pub mod wood;

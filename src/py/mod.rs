@@ -13,6 +13,7 @@ mod plant;
 mod png;
 mod render;
 mod run;
+mod simplified_mesh;
 mod view;
 
 use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
@@ -89,6 +90,8 @@ mod _core {
     use super::render::{Renderer, Scene, peak_rate, time_naive};
     #[pymodule_export]
     use super::run::{_panic_for_test, _spin_for_test};
+    #[pymodule_export]
+    use super::simplified_mesh::simplified_mesh;
 
     /// As in `Cargo.toml`, the one place that states it.
     #[pymodule_export]

@@ -2,6 +2,7 @@
 
 from treelod.techniques.full_mesh import FullMesh
 from treelod.techniques.leaf_clusters import LeafClusters
+from treelod.techniques.simplified_mesh import SimplifiedMesh
 from treelod.techniques.slicings import Slicings
 from treelod.techniques.technique import BakedTexture, Footprint, Technique
 
@@ -11,11 +12,12 @@ __all__ = [
     "Footprint",
     "FullMesh",
     "LeafClusters",
+    "SimplifiedMesh",
     "Slicings",
     "Technique",
 ]
 
 REGISTRY: dict[str, type[Technique]] = {
-    technique.name: technique for technique in (FullMesh, Slicings, LeafClusters)
+    technique.name: technique for technique in (FullMesh, Slicings, LeafClusters, SimplifiedMesh)
 }
 """Techniques by the name that tables, command lines and sweeps use."""
