@@ -15,6 +15,7 @@ pub mod simplify;
 pub mod solid;
 pub mod view_blend;
 pub mod wood;
+pub mod wood_levels;
 
 use std::fmt::Debug;
 use std::sync::Arc;
@@ -84,6 +85,15 @@ impl Crown {
     pub fn local_direction(&self, direction: DVec3) -> DVec3 {
         self.world_from_local.inverse().transform_vector3(direction).normalize()
     }
+}
+
+/// An upper bound on how much a transform stretches any length; exact for turns, mirrors and sizes.
+pub(crate) fn largest_scale(placement: &DAffine3) -> f64 {
+    let m = placement.matrix3;
+    // the largest eigenvalue is at most the largest sum of a row's magnitudes
+    let squared = m.transpose() * m;
+    let rows = [squared.x_axis, squared.y_axis, squared.z_axis];
+    rows.map(|row| row.abs().element_sum()).into_iter().fold(0.0, f64::max).sqrt()
 }
 
 /// A draw list in the making: opaque items as they come, blended ones sorted by copy at the end.

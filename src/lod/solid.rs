@@ -141,6 +141,25 @@ impl Solid {
         Self { geometry: Geometry::new(buffers), materials, runs, blended }
     }
 
+    /// Cuts it into several that share its geometry: the first one ends before triangle `ends[0]`, the
+    /// second before `ends[1]`, and so on. No run of a material may reach across.
+    #[must_use]
+    pub fn cut(&self, ends: &[u32]) -> Vec<Self> {
+        let mut start = 0;
+        let cut = ends.iter().map(|&end| {
+            let range = start..end;
+            start = end;
+            let inside = |run: &&Run| run.triangles.start < end && run.triangles.end > range.start;
+            let runs: Vec<Run> = self.runs.iter().filter(inside).cloned().collect();
+            let is_whole =
+                |run: &Run| run.triangles.start >= range.start && run.triangles.end <= end;
+            assert!(runs.iter().all(is_whole), "a run reaches across a cut");
+            let blended = self.blended.iter().filter(|(triangle, _, _)| range.contains(triangle));
+            Self { runs, blended: blended.copied().collect(), ..self.clone() }
+        });
+        cut.collect()
+    }
+
     /// Whether there is nothing to draw.
     pub fn is_empty(&self) -> bool {
         self.runs.is_empty() && self.blended.is_empty()

@@ -6,7 +6,7 @@ use glam::{DAffine3, DVec3};
 
 use crate::draw_list::DrawList;
 use crate::error::{LodError, check_limit};
-use crate::lod::{Crown, ListBuilder, Representation};
+use crate::lod::{Crown, ListBuilder, Representation, largest_scale};
 use crate::raster::Outputs;
 use crate::view::{MAX_COORDINATE, View};
 use crate::view_state::ViewState;
@@ -161,15 +161,6 @@ fn world_box(placement: &DAffine3, low: DVec3, high: DVec3) -> (DVec3, DVec3) {
     let m = placement.matrix3;
     let reach = m.x_axis.abs() * half.x + m.y_axis.abs() * half.y + m.z_axis.abs() * half.z;
     (center - reach, center + reach)
-}
-
-/// An upper bound on how much a transform stretches any length; exact for turns, mirrors and sizes.
-fn largest_scale(placement: &DAffine3) -> f64 {
-    let m = placement.matrix3;
-    // the largest eigenvalue is at most the largest sum of a row's magnitudes
-    let squared = m.transpose() * m;
-    let rows = [squared.x_axis, squared.y_axis, squared.z_axis];
-    rows.map(|row| row.abs().element_sum()).into_iter().fold(0.0, f64::max).sqrt()
 }
 
 #[cfg(test)]
