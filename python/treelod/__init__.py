@@ -24,12 +24,12 @@ from treelod.errors import (
     TreelodError,
 )
 from treelod.plants import Foliage, Lighting, Material, Mesh, Plant, grow_plant, load_plant
-from treelod.render import Frame, render, time_frames
-from treelod.scenes import Scene
+from treelod.render import Frame, ViewState, render, time_frames
+from treelod.scenes import Scene, scatter
 from treelod.techniques import FullMesh, LeafClusters, SimplifiedMesh, Slicings
 
 if TYPE_CHECKING:
-    from treelod import metrics
+    from treelod import metrics, walks
 
 __all__ = [
     "Camera",
@@ -54,6 +54,7 @@ __all__ = [
     "Slicings",
     "StoreError",
     "TreelodError",
+    "ViewState",
     "__version__",
     "cluster_leaves",
     "grow_plant",
@@ -62,10 +63,12 @@ __all__ = [
     "orbit",
     "plane_misses",
     "render",
+    "scatter",
     "time_frames",
+    "walks",
 ]
 
-_HEAVY = {"metrics"}
+_HEAVY = {"metrics", "walks"}
 """Modules that import large libraries: imported at their first use, `tl.metrics` included."""
 
 

@@ -1,5 +1,6 @@
 """
-The command line: ``treelod compare``, ``demo``, ``grow``, ``validate``, ``bench``.
+The command line: ``treelod compare``, ``demo``, ``walk``, ``grow``, ``validate``,
+``bench``.
 
 Progress and errors go to the error stream, results to the output stream. Exit codes: 0 done,
 1 failed, 2 wrong usage.
@@ -273,6 +274,93 @@ def demo(
 
 
 @app.command()
+def walk(
+    *,
+    plant: Annotated[
+        str,
+        typer.Argument(
+            metavar="PLANT",
+            help=f"A GLB, glTF, OBJ or PLY file, or a plant to grow: {', '.join(PRESETS)}.",
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for the report; made if missing.")
+    ],
+    technique: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--technique",
+            "-t",
+            metavar="SPEC",
+            show_default="each, with its default parameters",
+            help="What to walk with, as for compare.",
+        ),
+    ] = None,
+    trees: Annotated[
+        str, typer.Option("--trees", metavar="COUNT,...", help="Trees of each grove, rising.")
+    ] = "1,2,4,8",
+    frames: Annotated[int, typer.Option("--frames", min=1, help="Frames of a lap.")] = 36,
+    laps: Annotated[int, typer.Option("--laps", min=1, help="Laps that are counted.")] = 3,
+    size: Annotated[
+        str, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Pictures' size in pixels.")
+    ] = "512x384",
+    samples: Annotated[int, typer.Option("--samples", min=1, help="Samples a pixel.")] = 4,
+    threads: Threads = None,
+    seed: Seed = None,
+    leaf_count: LeafCount = None,
+    verbose: Verbose = False,
+) -> None:
+    """
+    Circle growing groves of a plant: primitives and milliseconds of each technique.
+
+    The report is OUTPUT/walk.html, one self-contained page.
+    Beside it lie walk.parquet, walk.csv and the plot.
+    """
+    specs = [FullMesh.name, *_all_techniques()] if technique is None else technique
+    wanted = dict(_technique(text) for text in specs)
+    counts = _counts("--trees", trees)
+    frame_size = _frame_size(size)
+    with reported(verbose=verbose), Stages() as stages:
+        from treelod import walks
+        from treelod.report import check_folder
+        from treelod.report.walk import write_walk
+
+        check_folder(output)
+        subject, _ = _subject(stages, plant, seed=seed, leaf_count=leaf_count)
+        built = {}
+        for done, (label, params) in enumerate(wanted.items()):
+            stages("building", done, len(wanted))
+            built[label] = REGISTRY[label.partition(":")[0]].build(subject, **params)
+        stages("building", len(wanted), len(wanted))
+        found = walks.walk(
+            subject,
+            built,
+            tree_counts=counts,
+            frame_count=frames,
+            laps=laps,
+            size=frame_size,
+            samples=samples,
+            threads=threads,
+            progress=stages,
+        )
+        page = write_walk(found, output)
+    console = Console(width=None if Console().is_terminal else 160)
+    table = Table(title=f"{found.plant}: around groves")
+    table.add_column("technique", overflow="fold")
+    for name in ("trees", "primitives", "frame ms"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for row in found.table.to_dict("records"):
+        table.add_row(
+            Text(str(row["label"])),
+            str(row["tree_count"]),
+            f"{row['primitives']:,.0f}",
+            f"{row['frame_millis']:.2f}",
+        )
+    console.print(table)
+    console.print(Text(f"report: {page}"), soft_wrap=True)
+
+
+@app.command()
 def grow(
     *,
     preset: Annotated[
@@ -516,6 +604,14 @@ def _numbers(option: str, text: str) -> list[float]:
         return [float(part) for part in text.split(",")]
     except ValueError:
         msg = f"{text!r} is not a list of numbers with commas between"
+        raise typer.BadParameter(msg, param_hint=option) from None
+
+
+def _counts(option: str, text: str) -> list[int]:
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        msg = f"{text!r} is not a list of whole numbers with commas between"
         raise typer.BadParameter(msg, param_hint=option) from None
 
 

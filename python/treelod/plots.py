@@ -21,7 +21,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     import pandas as pd
     from matplotlib.axes import Axes
@@ -35,6 +35,7 @@ __all__ = [
     "error_by_distance",
     "pareto_front",
     "speed_against_error",
+    "walk_costs",
 ]
 
 # Okabe and Ito's palette; black is the full mesh, yellow is left out: it is lost on white paper
@@ -356,6 +357,51 @@ def error_by_distance(
     return figure
 
 
+def walk_costs(table: pd.DataFrame) -> Figure:
+    """
+    Plot what growing groves cost: primitives a frame and milliseconds a frame.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        As of `treelod.walks.Walk`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A line a technique over the number of trees, both axes logarithmic. Bars reach from the
+        quickest to the slowest frame. Techniques are a little apart to the side.
+
+    Raises
+    ------
+    ValueError
+        If the table is empty.
+    """
+    looks = _looks(table)
+    counts = np.sort(table["tree_count"].unique())
+    with mpl.rc_context(_STYLE):
+        figure, (primitives, millis) = _panels(2, widest=3.6)
+        for position, (label, look) in enumerate(looks.items()):
+            rows = table[table["label"] == label].sort_values("tree_count")
+            shift = 1.0 + _DODGE * (position - (len(looks) - 1) / 2.0)
+            shape: Any = {"color": look.color, "marker": look.marker, "clip_on": False}
+            primitives.plot(rows["tree_count"] * shift, rows["primitives"], **shape)
+            middle = rows["frame_millis"]
+            reach = [middle - rows["frame_millis_low"], rows["frame_millis_high"] - middle]
+            millis.errorbar(
+                rows["tree_count"] * shift, middle, yerr=reach, elinewidth=0.8, capsize=2, **shape
+            )
+        for axes, title in ((primitives, "primitives a frame"), (millis, "milliseconds a frame")):
+            axes.set_xscale("log")
+            axes.set_yscale("log")
+            _plain_log_ticks(axes, which="y")
+            _plain_log_ticks(axes, counts if len(counts) <= 8 else None)
+            axes.set_xlabel("trees")
+            axes.set_title(title)
+        _legend(figure, [(label, look.line(linestyle="-")) for label, look in looks.items()])
+    return figure
+
+
 def encode(figure: Figure, kind: Literal["svg", "png"] = "svg", *, dpi: float = 200.0) -> bytes:
     """
     Return a figure as the bytes of a picture file; the same figure gives the same bytes.
@@ -402,14 +448,17 @@ def _start(table: pd.DataFrame, metric: str) -> tuple[dict[str, _Look], Metric]:
     if metric not in METRICS:
         msg = f"metric must be one of {', '.join(METRICS)}, got {metric!r}"
         raise ValueError(msg)
+    return _looks(table), METRICS[metric]
+
+
+def _looks(table: pd.DataFrame) -> dict[str, _Look]:
     if not len(table):
         msg = "table is empty: there is nothing to plot"
         raise ValueError(msg)
-    looks = {
+    return {
         str(label): _Look(_COLORS[index % len(_COLORS)], _MARKERS[index % len(_MARKERS)])
         for index, label in enumerate(table["label"].unique())
     }
-    return looks, METRICS[metric]
 
 
 def _panels(count: int, widest: float = _PANEL_INCHES[0]) -> tuple[Figure, list[Axes]]:
@@ -482,10 +531,13 @@ def _share_y(
         axes.tick_params(labelleft=False)
 
 
-def _plain_log_ticks(axes: Axes, ticks: ArrayLike | None = None) -> None:
+def _plain_log_ticks(
+    axes: Axes, ticks: ArrayLike | None = None, *, which: Literal["x", "y"] = "x"
+) -> None:
     """Label a logarithmic axis with plain numbers: 2, 5, 10, not powers of ten."""
+    axis = axes.xaxis if which == "x" else axes.yaxis
     if ticks is None:
-        low, high = axes.get_xlim()
+        low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
         powers = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
         if high / low < 3.0:
             values = [float(tick) for tick in MaxNLocator(4).tick_values(low, high)]
@@ -496,11 +548,14 @@ def _plain_log_ticks(axes: Axes, ticks: ArrayLike | None = None) -> None:
             values = [m * 10.0**p for p in powers for m in mantissas]
     else:
         values = [float(tick) for tick in np.asarray(ticks)]
-    plain: Callable[[float, int], str] = lambda value, _position: f"{value:.4g}"  # noqa: E731
-    axes.xaxis.set_major_locator(FixedLocator(values))
-    axes.xaxis.set_major_formatter(FuncFormatter(plain))
-    axes.xaxis.set_minor_locator(FixedLocator([]))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+
+    def plain(value: float, _position: int) -> str:
+        return f"{value:,.0f}" if which == "y" and value >= 1e4 else f"{value:.4g}"
+
+    axis.set_major_locator(FixedLocator(values))
+    axis.set_major_formatter(FuncFormatter(plain))
+    axis.set_minor_locator(FixedLocator([]))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _legend(figure: Figure, entries: Sequence[tuple[str, Line2D]]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +16,10 @@ if TYPE_CHECKING:
 
     from treelod.techniques.technique import Technique
 
-__all__ = ["Scene"]
+__all__ = ["Scene", "scatter"]
+
+GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+"""Turn from one copy to the next in `scatter`: neighbours never line up (Vogel 1979)."""
 
 
 class Scene:
@@ -82,3 +86,68 @@ class Scene:
 
     def __repr__(self) -> str:
         return f"Scene({self.instance_count} copies)"
+
+
+def scatter(
+    count: int, spacing: float, *, seed: int = 0, about: Sequence[float] = (0.0, 0.0, 0.0)
+) -> NDArray[np.float64]:
+    """
+    Place copies of a plant on level ground, loosely and at random, the first where it stands.
+
+    Fewer copies are the first of more copies, so that a grove grows at its edge.
+
+    Parameters
+    ----------
+    count : int
+        Copies, at least 0.
+    spacing : float
+        About how far neighbours are apart, in metres, above 0: no two are nearer than half of it.
+    seed : int, default 0
+        Of shifts and turns, at least 0.
+    about : sequence of 3 floats, default (0, 0, 0)
+        A point of the vertical axis about which each copy is turned, and which is put in its place.
+
+    Returns
+    -------
+    ndarray of shape (count, 4, 4), dtype float64
+        Transforms for `Scene`. They turn and move copies, and change neither height nor size.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> import treelod as tl
+    >>> tree = tl.FullMesh.build(tl.grow_plant("chestnut", leaf_count=20))
+    >>> tl.Scene([(tree, tl.scatter(5, spacing=10.0))]).instance_count
+    5
+    """
+    if operator.index(count) < 0:
+        msg = f"count must be at least 0, got {count}"
+        raise ValueError(msg)
+    if not 0.0 < spacing < np.inf:
+        msg = f"spacing must be above 0 and finite, got {spacing}"
+        raise ValueError(msg)
+    if operator.index(seed) < 0:
+        msg = f"seed must be at least 0, got {seed}"
+        raise ValueError(msg)
+    axis = np.asarray(about, np.float64)
+    if axis.shape != (3,) or not np.isfinite(axis).all():
+        msg = f"about must be three finite numbers, got {about}"
+        raise ValueError(msg)
+    index = np.arange(count)
+    # a row of random numbers each, so that the first ones are the same for any count
+    radius, direction, turn = np.random.default_rng(seed).random((count, 3)).T
+    place = 0.65 * spacing * np.sqrt(index) * np.exp(1j * GOLDEN_ANGLE * index)
+    # the first one does not move
+    place += (index > 0) * 0.15 * spacing * np.sqrt(radius) * np.exp(2j * np.pi * direction)
+    angle = (index > 0) * 2.0 * np.pi * turn
+    cos, sin = np.cos(angle), np.sin(angle)
+    transforms = np.tile(np.eye(4), (count, 1, 1))
+    transforms[:, 0, 0], transforms[:, 0, 2] = cos, sin
+    transforms[:, 2, 0], transforms[:, 2, 2] = -sin, cos
+    transforms[:, 0, 3] = axis[0] + place.real - (cos * axis[0] + sin * axis[2])
+    transforms[:, 2, 3] = axis[2] + place.imag - (-sin * axis[0] + cos * axis[2])
+    return transforms

@@ -1,0 +1,76 @@
+"""Writes a walk down: ``walk.html``, ``walk.csv``, ``walk.parquet`` and the plot."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import jinja2
+
+from treelod import plots
+from treelod.files import atomic_write
+from treelod.report import images, text
+from treelod.report.page import check_folder
+
+if TYPE_CHECKING:
+    import os
+
+    from treelod.walks import Walk
+
+__all__ = ["write_walk"]
+
+
+def write_walk(walk: Walk, directory: str | os.PathLike[str]) -> Path:
+    """
+    Write the report of a walk.
+
+    Parameters
+    ----------
+    walk : Walk
+        From `treelod.walks.walk`.
+    directory : path-like
+        Folder for the files; made with its parents if it is missing.
+
+    Returns
+    -------
+    Path
+        The page, ``walk.html``, self-contained. Beside it ``walk.csv`` and ``walk.parquet`` with
+        all columns, and the plot as ``walk_costs.svg`` and ``.png``.
+
+    Raises
+    ------
+    NotADirectoryError
+        If `directory`, or a part of its path, is a file.
+    OSError
+        If a file cannot be written.
+    """
+    folder = Path(directory)
+    check_folder(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    atomic_write(folder / "walk.csv", walk.table.to_csv(index=False).encode())
+    parquet = io.BytesIO()
+    walk.table.to_parquet(parquet, index=False)
+    atomic_write(folder / "walk.parquet", parquet.getvalue())
+    figure = plots.walk_costs(walk.table)
+    svg = plots.encode(figure, "svg")
+    atomic_write(folder / "walk_costs.svg", svg)
+    atomic_write(folder / "walk_costs.png", plots.encode(figure, "png"))
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("treelod.report", "."),
+        # labels and names of plants come from outside
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["count"] = text.count
+    environment.filters["millis"] = text.millis
+    page = environment.get_template("walk.html.j2").render(
+        walk=walk,
+        rows=walk.table.to_dict("records"),
+        plot=images.data_uri(svg, "image/svg+xml"),
+    )
+    path = folder / "walk.html"
+    atomic_write(path, page.encode("utf-8"))
+    return path
