@@ -57,6 +57,14 @@ pub enum LodError {
         /// The unit of both.
         unit: &'static str,
     },
+    /// Stored bytes are damaged, or belong to something else.
+    #[error("{name}: {why}")]
+    Store {
+        /// What was stored.
+        name: &'static str,
+        /// What is wrong with it.
+        why: String,
+    },
     /// The process was forked after the thread pool had started.
     #[error(
         "this process was forked after treelod had started its threads, which a fork does not copy; \

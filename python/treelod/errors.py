@@ -42,7 +42,7 @@ class DeviceError(TreelodError, RuntimeError):
 
 
 class StoreError(TreelodError):
-    """Stored results are damaged or belong to something else."""
+    """Stored results or representations are damaged, or belong to something else."""
 
 
 class InternalError(TreelodError, RuntimeError):

@@ -14,5 +14,6 @@ pub mod leaf_quads;
 mod made;
 pub mod new_leaf;
 pub mod quad;
+pub mod stored;
 pub mod uniform;
 pub mod zone;

@@ -25,6 +25,7 @@ use crate::error::LodError;
 
 static LIMIT_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 static FORKED_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
+static STORE_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 static INTERNAL_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 
 /// An instance of a class of `treelod.errors`, which is imported once.
@@ -53,6 +54,7 @@ impl From<LodError> for PyErr {
             | LodError::Empty { .. }
             | LodError::Invalid { .. } => PyValueError::new_err(message),
             LodError::Limit { .. } => package_error(&LIMIT_ERROR, "LimitError", message),
+            LodError::Store { .. } => package_error(&STORE_ERROR, "StoreError", message),
             LodError::Forked => package_error(&FORKED_ERROR, "ForkedError", message),
             // `run` prefers the exception of whoever cancelled; this one is for the case of none
             LodError::Cancelled => PyKeyboardInterrupt::new_err(message),

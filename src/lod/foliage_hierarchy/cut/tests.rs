@@ -124,6 +124,15 @@ fn by_the_papers_rule_a_node_does_not_count_for_itself() {
     let zone = zone(&criterion, &forest, &order, &here(&view));
     assert_eq!(scratch(&order, &zone, Rule::Inclusive).0, [4, 0, 1, 6], "5 is needed finer");
     assert_eq!(scratch(&order, &zone, Rule::Paper).0, [4, 5, 6], "5 is what is wanted");
+    let mut cut = Cut::new(&forest, &order);
+    for (rule, expected) in [
+        (Rule::Inclusive, &[4, 0, 1, 6][..]),
+        (Rule::Paper, &[4, 5, 6]),
+        (Rule::Inclusive, &[4, 0, 1, 6]),
+    ] {
+        cut.update(&forest, &order, zone.clone(), rule);
+        assert_eq!(cut.active(), expected, "another rule for the same view: {rule:?}");
+    }
 }
 
 #[test]
