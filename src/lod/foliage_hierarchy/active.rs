@@ -25,6 +25,8 @@ pub struct Changes {
     /// Ranges of the new list in which it differs from the old one, ascending, apart and not
     /// touching one another; what the old list had beyond the new one's end is not named.
     pub dirty: Vec<Range<u32>>,
+    /// The list before this one, once it is of no use.
+    spare: Vec<u32>,
 }
 
 impl Changes {
@@ -48,44 +50,31 @@ impl Changes {
         self.edits.push(Edit { old: short(&old), inserted });
     }
 
-    /// Entries that the new list has more than the old one.
-    pub fn growth(&self) -> isize {
-        let gone: u32 = self.edits.iter().map(|edit| edit.old.end - edit.old.start).sum();
-        self.inserted.len() as isize - gone as isize
-    }
-
-    /// Carries the edits out, and finds what they make dirty. Nothing before the first edit is
-    /// touched; what lies behind the last one is moved in one piece, if at all.
+    /// Carries the edits out, and finds what they make dirty. Where the list gets longer or shorter in
+    /// between, all behind it moves: every entry is copied once, into memory that is kept for it.
     pub fn apply(&mut self, list: &mut Vec<u32>) {
         self.dirty.clear();
-        let (Some(first), Some(last)) = (self.edits.first(), self.edits.last()) else { return };
-        let (start, tail) = (first.old.start as usize, last.old.end as usize);
-        let old_count = list.len();
-        let growth = self.growth();
-        let mut middle =
-            Vec::with_capacity((tail - start).checked_add_signed(growth).expect("edits are apart"));
-        let mut kept = start;
-        for edit in &self.edits {
-            let begin = start + middle.len();
-            let moved = begin != kept;
-            middle.extend_from_slice(&list[kept..edit.old.start as usize]);
-            let from = if moved { begin } else { start + middle.len() };
-            let inserted = edit.inserted.start as usize..edit.inserted.end as usize;
-            middle.extend_from_slice(&self.inserted[inserted]);
+        if self.edits.is_empty() {
+            return;
+        }
+        let Self { edits, inserted, dirty, spare } = self;
+        spare.clear();
+        let mut kept = 0;
+        for edit in edits {
+            let begin = spare.len();
+            spare.extend_from_slice(&list[kept..edit.old.start as usize]);
+            let from = if begin == kept { spare.len() } else { begin };
+            let range = edit.inserted.start as usize..edit.inserted.end as usize;
+            spare.extend_from_slice(&inserted[range]);
             kept = edit.old.end as usize;
-            mark(&mut self.dirty, from..start + middle.len());
+            mark(dirty, from..spare.len());
         }
-        let new_tail = start + middle.len();
-        let new_count = old_count.checked_add_signed(growth).expect("as long as its parts");
-        if new_tail > tail {
-            list.resize(new_count, 0);
+        let begin = spare.len();
+        spare.extend_from_slice(&list[kept..]);
+        if begin != kept {
+            mark(dirty, begin..spare.len());
         }
-        if new_tail != tail {
-            list.copy_within(tail..old_count, new_tail);
-            mark(&mut self.dirty, new_tail..new_count);
-        }
-        list.truncate(new_count);
-        list[start..new_tail].copy_from_slice(&middle);
+        std::mem::swap(list, spare);
     }
 }
 

@@ -173,6 +173,9 @@ enum Drawn {
 struct Memo {
     /// Sum of drifts up to which it holds.
     until: f64,
+    /// Sum of drifts up to which its ball will say no more than maybe; only to save questions, so
+    /// rounding does no harm.
+    maybe_until: f32,
     /// Active nodes.
     count: u32,
     drawn: Drawn,
@@ -200,11 +203,20 @@ struct Open {
     /// How the old list has it, or `None` if it has a node above.
     old: Option<Drawn>,
     known: Known,
+    maybe_until: f32,
     old_first: usize,
     edit_count: usize,
     inserted_count: usize,
     /// Of the children so far.
     found: Found,
+}
+
+/// What comes of a sub-tree.
+enum Visit {
+    /// All is known.
+    Done(Found),
+    /// Its nodes must be asked.
+    Enter { maybe_until: f32 },
 }
 
 /// What an update finds of a sub-tree.
@@ -231,7 +243,8 @@ pub struct Cut {
 impl Cut {
     /// Begins with the roots alone.
     pub fn new(forest: &Forest, order: &DepthFirst) -> Self {
-        let unknown = Memo { until: 0.0, count: 1, drawn: Drawn::Whole, is_fine: false };
+        let unknown =
+            Memo { until: 0.0, maybe_until: 0.0, count: 1, drawn: Drawn::Whole, is_fine: false };
         Self {
             memos: vec![unknown; order.places.len()],
             active: forest.roots().collect(),
@@ -274,13 +287,25 @@ impl Cut {
                 at += 1;
                 continue;
             }
-            self.memos[at] = Memo { until: 0.0, count: 1, drawn: Drawn::Whole, is_fine: false };
+            self.memos[at] = Memo {
+                until: 0.0,
+                maybe_until: 0.0,
+                count: 1,
+                drawn: Drawn::Whole,
+                is_fine: false,
+            };
             entry += 1;
             while let Some(&(top, first)) = above.last()
                 && order.places[top].end == place.end
             {
                 let count = u32::try_from(entry - first).expect("fewer than nodes");
-                self.memos[top] = Memo { until: 0.0, count, drawn: Drawn::Split, is_fine: true };
+                self.memos[top] = Memo {
+                    until: 0.0,
+                    maybe_until: 0.0,
+                    count,
+                    drawn: Drawn::Split,
+                    is_fine: true,
+                };
                 above.pop();
             }
             at = place.end as usize;
@@ -376,10 +401,13 @@ impl Walk<'_> {
         let mut at = 0;
         while at < self.order.places.len() {
             let known = open.last().map_or(Known::Memos, |top| top.known);
-            let Some(mut found) = self.visit(cut, at, known) else {
-                open.push(self.opened(cut, at, known));
-                at += 1;
-                continue;
+            let mut found = match self.visit(cut, at, known) {
+                Visit::Done(found) => found,
+                Visit::Enter { maybe_until } => {
+                    open.push(self.opened(cut, at, known, maybe_until));
+                    at += 1;
+                    continue;
+                }
             };
             let end = self.order.places[at].end;
             while let Some(top) = open.last_mut() {
@@ -407,15 +435,19 @@ impl Walk<'_> {
     }
 
     /// Answers for a sub-tree without entering it, if that is possible.
-    fn visit(&mut self, cut: &mut Cut, at: usize, known: Known) -> Option<Found> {
+    fn visit(&mut self, cut: &mut Cut, at: usize, known: Known) -> Visit {
         let memo = cut.memos[at];
-        let is_memo = matches!(known, Known::Memos | Known::Hidden);
-        if is_memo && self.is_known && cut.now < memo.until {
+        let is_memo = self.is_known && matches!(known, Known::Memos | Known::Hidden);
+        if is_memo && cut.now < memo.until {
             self.steps.passed_count += 1;
             if known == Known::Memos {
                 self.entry += memo.count as usize;
             }
-            return Some(Found { until: memo.until, count: memo.count, is_fine: memo.is_fine });
+            let Memo { until, count, is_fine, .. } = memo;
+            return Visit::Done(Found { until, count, is_fine });
+        }
+        if is_memo && cut.now < f64::from(memo.maybe_until) {
+            return Visit::Enter { maybe_until: memo.maybe_until };
         }
         let place = &self.order.places[at];
         let old = self.old(cut, at, known);
@@ -431,7 +463,8 @@ impl Walk<'_> {
             (below, margin) = self.zone.below(at, place);
             let old_count = self.old_count(cut, at, old);
             match below {
-                Below::Maybe => return None,
+                #[expect(clippy::cast_possible_truncation, reason = "rounding does no harm")]
+                Below::Maybe => return Visit::Enter { maybe_until: (cut.now + margin) as f32 },
                 Below::None => {
                     (drawn, count, is_fine) = (Drawn::Whole, 1, false);
                     if matches!(old, Some(Drawn::Leaves | Drawn::Split)) {
@@ -457,8 +490,8 @@ impl Walk<'_> {
             }
         }
         let until = cut.now + margin;
-        cut.memos[at] = Memo { until, count, drawn, is_fine };
-        Some(Found { until, count, is_fine })
+        cut.memos[at] = Memo { until, maybe_until: 0.0, count, drawn, is_fine };
+        Visit::Done(Found { until, count, is_fine })
     }
 
     fn old_count(&self, cut: &Cut, at: usize, old: Option<Drawn>) -> usize {
@@ -493,7 +526,7 @@ impl Walk<'_> {
     }
 
     /// A sub-tree that must be entered.
-    fn opened(&self, cut: &Cut, at: usize, known: Known) -> Open {
+    fn opened(&self, cut: &Cut, at: usize, known: Known, maybe_until: f32) -> Open {
         let old = self.old(cut, at, known);
         let below = match (old, cut.memos[at].drawn) {
             (Some(Drawn::Split), _) => Known::Memos,
@@ -507,6 +540,7 @@ impl Walk<'_> {
             at,
             old,
             known: below,
+            maybe_until,
             old_first: self.entry,
             edit_count: cut.changes.edits.len(),
             inserted_count: cut.changes.inserted.len(),
@@ -532,7 +566,7 @@ impl Walk<'_> {
         }
         let drawn = if is_split { Drawn::Split } else { Drawn::Joined };
         let Found { until, count, is_fine } = found;
-        cut.memos[at] = Memo { until, count, drawn, is_fine };
+        cut.memos[at] = Memo { until, maybe_until: open.maybe_until, count, drawn, is_fine };
         if old.is_some() && !was_split {
             self.entry = open.old_first + 1;
             if is_split {

@@ -232,7 +232,7 @@ mod tests {
                 let mut ways = [Changes::default(), Changes::default()];
                 walk(&order, fine, coarse, from, to, &mut ways[0]);
                 search(&order, &old, fine..coarse, from, to, &mut ways[1]);
-                prop_assert_eq!(&ways[0], &ways[1]);
+                prop_assert_eq!(&ways[0], &ways[1], "walked and looked up");
             }
         }
     }

@@ -103,7 +103,7 @@ impl Zone {
         self.test.holds(at, place)
     }
 
-    /// What is known of a sub-tree, and the margin; 0 for maybe.
+    /// What is known of a sub-tree, and the margin.
     pub fn below(&self, at: usize, place: &Place) -> (Below, f64) {
         self.test.below(at, place)
     }
@@ -208,7 +208,7 @@ impl Maker<'_> {
 
 /// How much a transform stretches what it stretches most: the root of the largest eigenvalue of
 /// `M^T M`, in closed form.
-fn stretch(linear: &DMat3) -> f64 {
+pub fn stretch(linear: &DMat3) -> f64 {
     let m = linear.transpose() * *linear;
     let (x, y, z) = (m.x_axis, m.y_axis, m.z_axis);
     let mean = (x.x + y.y + z.z) / 3.0;
@@ -325,7 +325,7 @@ impl Field {
         } else if all > 0.0 {
             (Below::All, all)
         } else {
-            (Below::Maybe, 0.0)
+            (Below::Maybe, (-none).min(-all))
         };
         if is_flipped { (answer.flipped(), margin) } else { (answer, margin) }
     }
@@ -481,7 +481,7 @@ fn joined_below(parts: impl Iterator<Item = (Below, f64)>, decisive: Below) -> (
     }
     match longest {
         Some(longest) => (decisive, longest),
-        None if is_unsure => (Below::Maybe, 0.0),
+        None if is_unsure => (Below::Maybe, shortest),
         None => (decisive.flipped(), shortest),
     }
 }
