@@ -16,4 +16,5 @@ pub mod new_leaf;
 pub mod quad;
 pub mod stored;
 pub mod uniform;
+pub mod walk;
 pub mod zone;
