@@ -65,6 +65,12 @@ pub enum LodError {
         /// What is wrong with it.
         why: String,
     },
+    /// A function of the caller's own has failed, in a way that only the caller knows.
+    #[error("a function of the caller's own has failed")]
+    Callback {
+        /// Under which the caller finds why.
+        id: u64,
+    },
     /// The process was forked after the thread pool had started.
     #[error(
         "this process was forked after treelod had started its threads, which a fork does not copy; \

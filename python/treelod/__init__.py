@@ -9,7 +9,7 @@ import importlib
 import warnings
 from typing import TYPE_CHECKING, Any
 
-from treelod import _core
+from treelod import _core, criteria
 from treelod._core import __version__
 from treelod.cameras import Camera, orbit
 from treelod.clusters import LeafClustering, PlaneMisses, cluster_leaves, plane_misses
@@ -57,6 +57,7 @@ __all__ = [
     "ViewState",
     "__version__",
     "cluster_leaves",
+    "criteria",
     "grow_plant",
     "load_plant",
     "metrics",

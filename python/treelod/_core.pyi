@@ -11,11 +11,13 @@ __all__ = [
     "Representation",
     "Scene",
     "__version__",
+    "_cut_for_test",
     "_panic_for_test",
     "_spin_for_test",
     "build_profile",
     "circle_directions",
     "cluster_leaves",
+    "cut_times",
     "encode_png",
     "full_mesh",
     "grow",
@@ -270,6 +272,25 @@ def plane_misses(
     NDArray[np.float64],
     NDArray[np.float64],
 ]: ...
+def _cut_for_test(
+    stored: bytes,
+    criterion: tuple[Any, ...],
+    cameras: Sequence[_CameraFacts],
+    *,
+    origin: Sequence[float],
+    rule: str = "inclusive",
+    transform: Sequence[Sequence[float]] | None = None,
+) -> list[list[int]]: ...
+def cut_times(
+    stored: bytes,
+    criterion: tuple[Any, ...],
+    cameras: Sequence[_CameraFacts],
+    *,
+    origin: Sequence[float],
+    rule: str = "inclusive",
+    rounds: int = 9,
+    threads: int | None = None,
+) -> list[tuple[float, float, int, int, int, int, int, int]]: ...
 def vector_peak() -> tuple[int, float]: ...
 def circle_directions(count: int) -> list[list[float]]: ...
 def sphere_directions(count: int) -> list[list[float]]: ...

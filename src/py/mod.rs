@@ -6,6 +6,7 @@
 
 mod arrays;
 mod clusters;
+mod criteria;
 mod grow;
 mod leaf_clusters;
 mod lod;
@@ -55,6 +56,9 @@ impl From<LodError> for PyErr {
             | LodError::Invalid { .. } => PyValueError::new_err(message),
             LodError::Limit { .. } => package_error(&LIMIT_ERROR, "LimitError", message),
             LodError::Store { .. } => package_error(&STORE_ERROR, "StoreError", message),
+            LodError::Callback { id } => {
+                criteria::take_raised(id).unwrap_or_else(|| internal_error(message))
+            }
             LodError::Forked => package_error(&FORKED_ERROR, "ForkedError", message),
             // `run` prefers the exception of whoever cancelled; this one is for the case of none
             LodError::Cancelled => PyKeyboardInterrupt::new_err(message),
@@ -78,6 +82,8 @@ mod _core {
 
     #[pymodule_export]
     use super::clusters::{cluster_leaves, plane_misses, vector_peak};
+    #[pymodule_export]
+    use super::criteria::{_cut_for_test, cut_times};
     #[pymodule_export]
     use super::grow::{grow, preset_names};
     #[pymodule_export]
