@@ -6,7 +6,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use treelod::lod::foliage_hierarchy::depth_first::DepthFirst;
-use treelod::lod::foliage_hierarchy::stored::{read, write};
+use treelod::lod::foliage_hierarchy::stored::{Stored, read, write};
 use treelod::lod::foliage_hierarchy::uniform::uniform;
 
 fuzz_target!(|bytes: &[u8]| {
@@ -15,9 +15,9 @@ fuzz_target!(|bytes: &[u8]| {
 });
 
 fn holds(bytes: &[u8]) {
-    let Ok((forest, plant)) = read(bytes, None) else { return };
+    let Ok(Stored { forest, plant, note }) = read(bytes, None) else { return };
     let order = DepthFirst::new(&forest);
     let roots = uniform(&order, order.root_count).expect("as many as there are");
     assert!(forest.roots().eq(roots), "the coarsest level is the roots");
-    assert_eq!(write(&forest, &plant), bytes, "each forest has one form");
+    assert_eq!(write(&forest, &plant, &note), bytes, "each forest has one form");
 }

@@ -214,8 +214,7 @@ impl Seen {
         transform: Option<[[f64; 4]; 3]>,
     ) -> PyResult<Self> {
         let origin = DVec3::from(origin);
-        let (forest, _) = stored::read(stored, None)?;
-        let forest = Arc::new(forest);
+        let forest = Arc::new(stored::read(stored, None)?.forest);
         let criterion = criterion(criterion_facts, &forest, origin)?;
         let views = cameras.iter().map(CameraFacts::view).collect::<Result<_, _>>()?;
         let to_scene = transform.map_or(DAffine3::IDENTITY, |[x, y, z]| {

@@ -67,7 +67,7 @@ impl TextureCorners {
 }
 
 /// A crown at every level of detail.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Forest {
     /// Leaves of the plant, L.
     pub leaf_count: u32,

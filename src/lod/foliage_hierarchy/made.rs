@@ -54,8 +54,7 @@ impl Maker {
             .push(self.forest.areas[first as usize] + self.forest.areas[second as usize]);
         self.forest.corners.push(TextureCorners {
             leaf: self.forest.corners[first as usize].leaf,
-            turn: choice & 3,
-            is_mirrored: choice & 4 != 0,
+            turn: u32::from(choice & 3),
         });
         self.add(Node { vertices, parent: NONE, children: [first, second] }, scale);
     }

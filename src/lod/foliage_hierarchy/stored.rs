@@ -6,9 +6,10 @@
 //! leaves   u32        L
 //! nodes    u32        N
 //! plant    32 bytes   whatever the caller tells plants apart by
+//! note     u32 bytes  how many, and whatever the caller wants to know again
 //! positions  4 L x 3 f32        spheres  N x 4 f32       scales          N x f32
 //! nodes        N x 7 u32        costs    (N - L) x f64   texture leaves  N x u32
-//!                               areas    N x f64         texture turns   N x u8: turn + 4 mirrored
+//!                               areas    N x f64         texture turns   N x u8
 //! checksum u32        CRC-32 of all before
 //! ```
 //!
@@ -33,25 +34,40 @@ pub const VERSION: u32 = 1;
 /// What tells plants apart.
 pub type Digest = [u8; 32];
 
-const HEADER_BYTES: usize = 8 + 3 * 4 + 32;
+/// Longest note.
+pub const MAX_NOTE_BYTES: usize = 1 << 16;
+
+const HEADER_BYTES: usize = 8 + 3 * 4 + 32 + 4;
 const CHECKSUM_BYTES: usize = 4;
 const LEAF_BYTES: u64 = 4 * 3 * 4;
 const NODE_BYTES: u64 = 7 * 4 + 4 * 4 + 8 + 4 + 4 + 1;
 const COLLAPSE_BYTES: u64 = 8;
 
-/// Set in a byte of turns where corners go the other way around.
-const MIRRORED: u8 = 4;
+/// A stored forest, read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stored {
+    /// The forest.
+    pub forest: Forest,
+    /// The plant it was made of.
+    pub plant: Digest,
+    /// The caller's own.
+    pub note: Vec<u8>,
+}
 
-/// A forest as bytes, with the digest of the plant that it stands for.
-pub fn write(forest: &Forest, plant: &Digest) -> Vec<u8> {
+/// A forest as bytes, with the digest of the plant that it stands for, and a note of up to
+/// [`MAX_NOTE_BYTES`].
+pub fn write(forest: &Forest, plant: &Digest, note: &[u8]) -> Vec<u8> {
+    assert!(note.len() <= MAX_NOTE_BYTES, "a note is short");
     let node_count = u32::try_from(forest.nodes.len()).expect("nodes are counted in 32 bits");
-    let length = length(forest.leaf_count, node_count);
+    let length = length(forest.leaf_count, node_count, note.len());
     let mut bytes = Vec::with_capacity(usize::try_from(length).expect("as large as the forest"));
     bytes.extend(MAGIC);
     for number in [VERSION, forest.leaf_count, node_count] {
         bytes.extend(number.to_le_bytes());
     }
     bytes.extend(plant);
+    bytes.extend(u32::try_from(note.len()).expect("short").to_le_bytes());
+    bytes.extend(note);
     bytes.extend(forest.positions.iter().flat_map(|p| p.to_array()).flat_map(f32::to_le_bytes));
     bytes.extend(forest.nodes.iter().flat_map(words).flat_map(u32::to_le_bytes));
     for sphere in &forest.spheres {
@@ -62,8 +78,9 @@ pub fn write(forest: &Forest, plant: &Digest) -> Vec<u8> {
     bytes.extend(forest.areas.iter().flat_map(|area| area.to_le_bytes()));
     bytes.extend(forest.scales.iter().flat_map(|scale| scale.to_le_bytes()));
     bytes.extend(forest.corners.iter().flat_map(|corners| corners.leaf.to_le_bytes()));
-    let turns = forest.corners.iter();
-    bytes.extend(turns.map(|c| c.turn | if c.is_mirrored { MIRRORED } else { 0 }));
+    let turns = forest.corners.iter().map(|corners| corners.turn);
+    // what does not fit is refused when it is read
+    bytes.extend(turns.map(|turn| u8::try_from(turn).unwrap_or(u8::MAX)));
     let checksum = crc32fast::hash(&bytes);
     bytes.extend(checksum.to_le_bytes());
     assert_eq!(bytes.len() as u64, length, "a forest's arrays are as long as its counts say");
@@ -74,7 +91,7 @@ pub fn write(forest: &Forest, plant: &Digest) -> Vec<u8> {
 ///
 /// # Errors
 /// [`LodError::Store`] if the bytes are no forest, damaged, or of another plant.
-pub fn read(bytes: &[u8], plant: Option<&Digest>) -> Result<(Forest, Digest), LodError> {
+pub fn read(bytes: &[u8], plant: Option<&Digest>) -> Result<Stored, LodError> {
     let Some((header, rest)) = bytes.split_first_chunk::<HEADER_BYTES>() else {
         return Err(refused(format!("{} bytes are less than its header takes", bytes.len())));
     };
@@ -90,7 +107,12 @@ pub fn read(bytes: &[u8], plant: Option<&Digest>) -> Result<(Forest, Digest), Lo
     if !(fewest..=most.max(fewest)).contains(&u64::from(node_count)) {
         return Err(refused(format!("{leaf_count} leaves cannot make {node_count} nodes")));
     }
-    let asked = length(leaf_count, node_count);
+    let digest: Digest = header.raw(32).try_into().expect("the rest of the header");
+    let note_bytes = header.u32() as usize;
+    if note_bytes > MAX_NOTE_BYTES {
+        return Err(refused(format!("a note of {note_bytes} bytes is too long")));
+    }
+    let asked = length(leaf_count, node_count, note_bytes);
     if bytes.len() as u64 != asked {
         let why = format!("it should take {asked} bytes, but there are {}", bytes.len());
         return Err(refused(why));
@@ -99,14 +121,14 @@ pub fn read(bytes: &[u8], plant: Option<&Digest>) -> Result<(Forest, Digest), Lo
     if checksum != crc32fast::hash(body).to_le_bytes() {
         return Err(refused("its checksum does not fit: it has been altered".to_owned()));
     }
-    let digest: Digest = header.raw(32).try_into().expect("the rest of the header");
     if plant.is_some_and(|plant| *plant != digest) {
         return Err(refused("it belongs to another plant".to_owned()));
     }
     let mut reader = Reader { bytes: rest };
+    let note = reader.raw(note_bytes).to_vec();
     let forest = reader.forest(leaf_count, node_count as usize);
     check(&forest)?;
-    Ok((forest, digest))
+    Ok(Stored { forest, plant: digest, note })
 }
 
 fn refused(why: String) -> LodError {
@@ -114,9 +136,9 @@ fn refused(why: String) -> LodError {
 }
 
 /// Bytes of a stored forest.
-fn length(leaf_count: u32, node_count: u32) -> u64 {
+fn length(leaf_count: u32, node_count: u32, note_bytes: usize) -> u64 {
     let (leaves, nodes) = (u64::from(leaf_count), u64::from(node_count));
-    (HEADER_BYTES + CHECKSUM_BYTES) as u64
+    (HEADER_BYTES + note_bytes + CHECKSUM_BYTES) as u64
         + leaves * LEAF_BYTES
         + nodes * NODE_BYTES
         + (nodes - leaves) * COLLAPSE_BYTES
@@ -180,15 +202,10 @@ impl<'a> Reader<'a> {
         let costs = self.rows(node_count - leaves, Self::f64);
         let areas = self.rows(node_count, Self::f64);
         let scales = self.rows(node_count, Self::f32);
-        let mut corners = self.rows(node_count, |reader| TextureCorners {
-            leaf: reader.u32(),
-            turn: 0,
-            is_mirrored: false,
-        });
+        let mut corners =
+            self.rows(node_count, |reader| TextureCorners { leaf: reader.u32(), turn: 0 });
         for (corners, &turn) in corners.iter_mut().zip(self.raw(node_count)) {
-            // other bits stay in the turn, where they are refused
-            corners.turn = turn & !MIRRORED;
-            corners.is_mirrored = turn & MIRRORED != 0;
+            corners.turn = u32::from(turn);
         }
         Forest { leaf_count, positions, nodes, spheres, costs, areas, scales, corners }
     }

@@ -6,6 +6,8 @@ use super::*;
 use crate::lod::foliage_hierarchy::depth_first::DepthFirst;
 use crate::lod::foliage_hierarchy::made::{Maker, forest, random_forest, square};
 
+const NOTE: &[u8] = br#"{"made": "by hand"}"#;
+
 const PLANT: Digest = *b"a plant that is 32 bytes long...";
 
 /// As written by version 1; never write it again: a later version must still read it.
@@ -30,11 +32,11 @@ fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
 
 /// What is read is a whole forest and is written as it was: the fuzz target's claim.
 fn holds(bytes: &[u8]) -> bool {
-    let Ok((forest, plant)) = read(bytes, None) else { return false };
+    let Ok(Stored { forest, plant, note }) = read(bytes, None) else { return false };
     let order = DepthFirst::new(&forest);
     assert_eq!(order.roots().count(), forest.root_count(), "trees");
     assert_eq!(order.leaves.len(), forest.leaf_count as usize, "leaves");
-    assert_eq!(write(&forest, &plant), bytes, "each forest has one form");
+    assert_eq!(write(&forest, &plant, &note), bytes, "each forest has one form");
     true
 }
 
@@ -48,10 +50,11 @@ fn refusal(bytes: &[u8]) -> String {
 
 #[test]
 fn the_frozen_sample_is_read_and_written_as_it_is() {
-    let (forest, plant) = read(SAMPLE, Some(&PLANT)).expect("written by version 1");
+    let Stored { forest, plant, note } = read(SAMPLE, Some(&PLANT)).expect("written by version 1");
     assert_eq!(plant, PLANT, "the plant it belongs to");
+    assert_eq!(note, NOTE, "what was noted");
     assert_eq!(forest, sample(), "every number");
-    assert_eq!(write(&forest, &plant), SAMPLE, "byte for byte");
+    assert_eq!(write(&forest, &plant, &note), SAMPLE, "byte for byte");
 }
 
 #[test]
@@ -64,10 +67,14 @@ fn another_plants_forest_is_refused() {
 fn the_smallest_forests_come_back() {
     for leaf_count in [0, 1, 2] {
         let forest = forest(leaf_count, &[]);
-        let bytes = write(&forest, &PLANT);
-        let expected = HEADER_BYTES + CHECKSUM_BYTES + leaf_count * (48 + 61);
+        let bytes = write(&forest, &PLANT, NOTE);
+        let expected = HEADER_BYTES + NOTE.len() + CHECKSUM_BYTES + leaf_count * (48 + 61);
         assert_eq!(bytes.len(), expected, "{leaf_count} leaves");
-        assert_eq!(read(&bytes, None), Ok((forest, PLANT)), "{leaf_count} leaves");
+        assert_eq!(
+            read(&bytes, None),
+            Ok(Stored { forest, plant: PLANT, note: NOTE.to_vec() }),
+            "{leaf_count} leaves"
+        );
     }
 }
 
@@ -122,7 +129,7 @@ fn what_does_not_hold_is_named() {
     let edit = |change: &dyn Fn(&mut Forest)| {
         let mut forest = sample();
         change(&mut forest);
-        refusal(&write(&forest, &PLANT))
+        refusal(&write(&forest, &PLANT, NOTE))
     };
     type Change = fn(&mut Forest);
     let cases: [(Change, &str); 17] = [
@@ -175,8 +182,9 @@ fn what_fuzzing_has_found_still_holds() {
 proptest! {
     #[test]
     fn any_forest_comes_back_as_it_was(forest in random_forest(80), plant: [u8; 32]) {
-        let bytes = write(&forest, &plant);
-        prop_assert_eq!(read(&bytes, Some(&plant)), Ok((forest, plant)));
+        let bytes = write(&forest, &plant, &[]);
+        let whole = Stored { forest, plant, note: vec![] };
+        prop_assert_eq!(read(&bytes, Some(&plant)), Ok(whole));
     }
 
     #[test]
@@ -184,7 +192,7 @@ proptest! {
         forest in random_forest(6),
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..4),
     ) {
-        let mut bytes = write(&forest, &PLANT);
+        let mut bytes = write(&forest, &PLANT, NOTE);
         for (at, value) in changes {
             let at = at.index(bytes.len());
             bytes[at] = value;
