@@ -158,6 +158,18 @@ def test_medians_are_taken_over_laps_first():
     assert (row["frame_millis"], row["emit_millis"], row["draw_millis"]) == (18.0, 1.5, 16.5)
 
 
+def test_a_first_lap_is_not_counted(monkeypatch):
+    seen = []
+
+    def row(label, tree_count, laps):
+        seen.append([len(lap) for lap in laps])
+        return {}
+
+    monkeypatch.setattr(walks, "_row", row)
+    walks.walk(PLANT, {"x": MESH}, **TINY)
+    assert seen == [[5, 5], [5, 5]], "two laps of five frames around each grove"
+
+
 def test_what_is_chosen_is_drawn():
     seen = []
 

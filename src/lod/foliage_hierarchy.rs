@@ -1,20 +1,417 @@
 //! Leaves that collapse into larger leaves, and levels of detail that depend on the view.
+//!
+//! Built once: every leaf becomes a quad, quads collapse two by two until few are left, and what
+//! collapsed into what is kept as a forest. Any level between is a list of its nodes: the same detail
+//! everywhere, or finer where a criterion asks for it. The wood is simplified in levels of its own.
+//!
+//! This work is based on: I. Remolar, M. Chover, J. Ribelles, O. Belmonte. View-Dependent
+//! Multiresolution Model for Foliage. Journal of WSCG 11(1), 2003; and its simplification on: I. Remolar,
+//! M. Chover, O. Belmonte, J. Ribelles, C. Rebollo. Geometric Simplification of Foliage.
+//! Eurographics 2002, short presentations.
 
 pub mod active;
 pub mod active_tree;
 pub mod ball;
 pub mod collapse;
 pub mod cost;
+mod coverage;
 pub mod criteria;
 pub mod cut;
 pub mod depth_first;
+mod drawing;
 pub mod forest;
 pub mod leaf_quads;
 #[cfg(test)]
 mod made;
+pub mod naive;
 pub mod new_leaf;
 pub mod quad;
 pub mod stored;
 pub mod uniform;
 pub mod walk;
 pub mod zone;
+
+use std::sync::Arc;
+
+use glam::{DVec3, Vec3};
+
+use crate::error::{LodError, check_in};
+use crate::job::Job;
+use crate::lod::foliage_hierarchy::collapse::{CollapseParams, Collapsed, collapse};
+use crate::lod::foliage_hierarchy::coverage::keep_coverage;
+use crate::lod::foliage_hierarchy::criteria::{Criterion, Placed};
+use crate::lod::foliage_hierarchy::cut::{Cut, Rule, Steps};
+use crate::lod::foliage_hierarchy::depth_first::DepthFirst;
+use crate::lod::foliage_hierarchy::drawing::{NodeVertices, Quads};
+use crate::lod::foliage_hierarchy::forest::Forest;
+use crate::lod::foliage_hierarchy::leaf_quads::{LeafQuad, leaf_quads};
+use crate::lod::foliage_hierarchy::uniform::uniform;
+use crate::lod::foliage_hierarchy::zone::Zone;
+use crate::lod::wood::Wood;
+use crate::lod::wood_levels::WoodLevels;
+use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation, largest_scale};
+use crate::plant::Plant;
+use crate::texture::Filter;
+use crate::view::View;
+use crate::view_state::ViewState;
+
+/// Which nodes are drawn.
+#[derive(Debug, Clone)]
+pub enum Selection {
+    /// The same number of quads in every view.
+    Level {
+        /// Between the number of roots and that of leaves.
+        leaf_count: usize,
+    },
+    /// The same detail in all of a crown: so many quads that the side of one of mean area, at the
+    /// nearest point of the ball around the crown, is this long in the picture.
+    Uniform {
+        /// Pixels, above 0.
+        quad_px: f64,
+    },
+    /// More of them where a criterion holds.
+    Variable {
+        /// What is drawn finer.
+        criterion: Criterion,
+        /// When a node is replaced by its children.
+        rule: Rule,
+    },
+}
+
+impl Selection {
+    /// Whether its numbers are in range, as far as that can be told without a plant.
+    ///
+    /// # Errors
+    /// [`LodError::OutOfRange`] and what [`Criterion::check`] returns.
+    pub fn check(&self) -> Result<(), LodError> {
+        match self {
+            Self::Level { .. } => Ok(()),
+            Self::Uniform { quad_px } => check_in("quad_px", *quad_px, 1e-3..=1e6),
+            Self::Variable { criterion, .. } => criterion.check(),
+        }
+    }
+}
+
+/// What a hierarchy is built and drawn with, besides how its leaves collapse.
+#[derive(Debug, Clone)]
+pub struct Params {
+    /// How leaves collapse.
+    pub collapse: CollapseParams,
+    /// Whether nodes are scaled further, so that crowns at every level cover what all leaves cover.
+    pub keep_coverage: bool,
+    /// How textures are read.
+    pub filter: Filter,
+    /// Which wood is drawn.
+    pub wood: Wood,
+    /// Whether the wood is simplified further with the foliage.
+    pub has_wood_levels: bool,
+    /// By how many pixels simplified wood may be off, where no fixed level is drawn.
+    pub wood_error_px: f64,
+}
+
+/// A plant whose leaves collapse, and what of it is drawn.
+#[derive(Debug, Clone)]
+pub struct FoliageHierarchy {
+    built: Arc<Built>,
+    selection: Selection,
+    has_wood_levels: bool,
+    wood_error_px: f64,
+}
+
+/// What all selections share.
+#[derive(Debug)]
+struct Built {
+    /// Shared with criteria that ask the caller.
+    forest: Arc<Forest>,
+    order: DepthFirst,
+    cost_count: u64,
+    d_ref: f64,
+    /// Area of all leaves, in square metres.
+    area: f64,
+    /// Around all quads, relative to the plant's origin.
+    ball: (DVec3, f64),
+    quads: Quads,
+    wood: WoodLevels,
+    bounds: (DVec3, DVec3),
+    origin: DVec3,
+}
+
+/// What a camera remembers of a copy.
+#[derive(Debug, Default)]
+struct Memory {
+    /// The geometry that the list belongs to.
+    owner: Option<u64>,
+    cut: Option<Cut>,
+}
+
+impl FoliageHierarchy {
+    /// Collapses a plant's leaves; all of them are drawn until something else is selected.
+    ///
+    /// # Errors
+    /// [`LodError::Empty`] if the plant has no leaves; a parameter out of range; [`LodError::Limit`];
+    /// [`LodError::Cancelled`].
+    pub fn build(plant: &Plant, params: &Params, job: &Job) -> Result<Self, LodError> {
+        check_in("wood_error_px", params.wood_error_px, 0.0..=1e6)?;
+        let quads = quads_of(plant, job)?;
+        let corners: Vec<[Vec3; 4]> = quads.iter().map(|quad| quad.corners).collect();
+        let areas: Vec<f64> = plant.foliage.areas.iter().map(|&area| f64::from(area)).collect();
+        let Collapsed { mut forest, rule, cost_count } =
+            collapse(&corners, &areas, &params.collapse, job)?;
+        let vertices = vertices_of(plant, &forest, &quads, params.filter, job)?;
+        drop(quads);
+        if params.keep_coverage {
+            keep_coverage(&mut forest, &vertices, plant, job)?;
+        }
+        let made = Made { forest, cost_count, d_ref: rule.d_ref };
+        Self::new(plant, vertices, made, params, job)
+    }
+
+    /// Draws a plant with a forest that was made of it before.
+    ///
+    /// # Errors
+    /// As [`FoliageHierarchy::build`]; [`LodError::Invalid`] if the forest is of other leaves.
+    pub fn from_forest(
+        plant: &Plant,
+        made: Made,
+        params: &Params,
+        job: &Job,
+    ) -> Result<Self, LodError> {
+        check_in("wood_error_px", params.wood_error_px, 0.0..=1e6)?;
+        let quads = quads_of(plant, job)?;
+        let corners = quads.iter().flat_map(|quad| quad.corners);
+        if !corners.eq(made.forest.positions.iter().copied()) {
+            let why = "the hierarchy was made of other leaves than this plant's".to_owned();
+            return Err(LodError::Invalid { name: "plant", why });
+        }
+        let vertices = vertices_of(plant, &made.forest, &quads, params.filter, job)?;
+        Self::new(plant, vertices, made, params, job)
+    }
+
+    fn new(
+        plant: &Plant,
+        vertices: NodeVertices,
+        made: Made,
+        params: &Params,
+        job: &Job,
+    ) -> Result<Self, LodError> {
+        let Made { forest, cost_count, d_ref } = made;
+        let wood = WoodLevels::build(plant, params.wood, params.filter, job)?;
+        let drawn = vertices.freeze(&forest, job)?;
+        let (low, high) = drawn.bounds();
+        let middle = (low + high) * 0.5;
+        let bounds = wood.bounds().map_or((low, high), |(a, b)| (low.min(a), high.max(b)));
+        let selection = Selection::Level { leaf_count: forest.leaf_count as usize };
+        Ok(Self {
+            built: Arc::new(Built {
+                order: DepthFirst::new(&forest),
+                area: forest.roots().map(|root| forest.areas[root as usize]).sum(),
+                forest: Arc::new(forest),
+                cost_count,
+                d_ref,
+                ball: (middle, (high - low).length() * 0.5),
+                quads: drawn,
+                wood,
+                bounds,
+                origin: plant.origin,
+            }),
+            selection,
+            has_wood_levels: params.has_wood_levels,
+            wood_error_px: params.wood_error_px,
+        })
+    }
+
+    /// The same hierarchy with another selection.
+    ///
+    /// # Errors
+    /// A number out of range.
+    pub fn with_selection(&self, selection: Selection) -> Result<Self, LodError> {
+        selection.check()?;
+        if let Selection::Level { leaf_count } = selection {
+            let forest = &self.built.forest;
+            check_in("leaf_count", leaf_count, forest.root_count()..=forest.leaf_count as usize)?;
+        }
+        Ok(Self { selection, ..self.clone() })
+    }
+
+    /// The forest.
+    pub fn forest(&self) -> &Arc<Forest> {
+        &self.built.forest
+    }
+
+    /// The forest in depth-first order.
+    pub fn order(&self) -> &DepthFirst {
+        &self.built.order
+    }
+
+    /// Costs that were computed while collapsing.
+    pub fn cost_count(&self) -> u64 {
+        self.built.cost_count
+    }
+
+    /// Distance at which two parallel leaves cost 1, in metres.
+    pub fn d_ref(&self) -> f64 {
+        self.built.d_ref
+    }
+
+    /// The wood's levels.
+    pub fn wood(&self) -> &WoodLevels {
+        &self.built.wood
+    }
+
+    /// Nodes that a view draws of a copy, and what it took to find them from the last view's.
+    ///
+    /// # Errors
+    /// What a criterion of the caller's own returns.
+    pub fn active(
+        &self,
+        view: &View,
+        crown: &Crown,
+        state: &mut ViewState,
+    ) -> Result<(Vec<u32>, Steps), LodError> {
+        let mut steps = Steps::default();
+        let nodes = self.select(view, crown, state, &mut steps)?;
+        Ok((nodes.to_vec(), steps))
+    }
+
+    fn select<'a>(
+        &self,
+        view: &View,
+        crown: &Crown,
+        state: &'a mut ViewState,
+        steps: &mut Steps,
+    ) -> Result<std::borrow::Cow<'a, [u32]>, LodError> {
+        let Built { forest, order, quads, .. } = &*self.built;
+        match &self.selection {
+            Selection::Level { leaf_count } => Ok(uniform(order, *leaf_count)?.into()),
+            Selection::Uniform { quad_px } => {
+                let leaf_count = self.uniform_count(view, crown, *quad_px);
+                Ok(uniform(order, leaf_count)?.into())
+            }
+            Selection::Variable { criterion, rule } => {
+                let memory: &mut Memory = state.slot(crown.key);
+                if memory.owner != Some(quads.id()) {
+                    *memory = Memory { owner: Some(quads.id()), cut: None };
+                }
+                let cut = memory.cut.get_or_insert_with(|| Cut::new(forest, order));
+                let placed = Placed { view, world_from_local: crown.world_from_local };
+                let zone = Zone::new(criterion, forest, order, &placed)?;
+                *steps = cut.update(forest, order, zone, *rule);
+                Ok(cut.active().into())
+            }
+        }
+    }
+
+    /// How many quads of the mean area are as large as asked for.
+    fn uniform_count(&self, view: &View, crown: &Crown, quad_px: f64) -> usize {
+        let forest = &self.built.forest;
+        let (fewest, most) = (forest.root_count(), forest.leaf_count as usize);
+        let side = quad_px * pixel_size(view, crown, self.built.ball);
+        if side <= 0.0 {
+            return most;
+        }
+        let count = (self.built.area / (side * side)).ceil();
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
+        let count = count.min(most as f64) as usize;
+        count.max(fewest)
+    }
+}
+
+/// A forest, and what it took to make it.
+#[derive(Debug, Clone)]
+pub struct Made {
+    /// What leaves collapse into.
+    pub forest: Forest,
+    /// Costs that were computed.
+    pub cost_count: u64,
+    /// Metres.
+    pub d_ref: f64,
+}
+
+fn quads_of(plant: &Plant, job: &Job) -> Result<Vec<LeafQuad>, LodError> {
+    if plant.foliage.leaf_count() == 0 {
+        let why = "this technique needs leaves; choose them with foliage=";
+        return Err(LodError::Empty { name: "foliage", why });
+    }
+    leaf_quads(plant, job)
+}
+
+fn vertices_of(
+    plant: &Plant,
+    forest: &Forest,
+    quads: &[LeafQuad],
+    filter: Filter,
+    job: &Job,
+) -> Result<NodeVertices, LodError> {
+    let first_id = u32::try_from(plant.wood.triangles.len()).expect("checked by the plant");
+    let triangle_counts = plant.foliage.leaf_offsets.windows(2).map(|pair| pair[1] - pair[0]);
+    NodeVertices::new(forest, quads, triangle_counts, first_id, &plant.materials, filter, job)
+}
+
+/// Metres of a copy's own space that a pixel shows at the nearest point of a ball; 0 with the eye in it.
+fn pixel_size(view: &View, crown: &Crown, (center, radius): (DVec3, f64)) -> f64 {
+    let scale = largest_scale(&crown.world_from_local);
+    let distance = crown.world_from_local.transform_point3(center).distance(view.eye);
+    let nearest = (distance - radius * scale).max(0.0);
+    if scale > 0.0 { view.pixel_size_at(nearest) / scale } else { f64::INFINITY }
+}
+
+impl Representation for FoliageHierarchy {
+    fn bounds(&self) -> (DVec3, DVec3) {
+        self.built.bounds
+    }
+
+    fn origin(&self) -> DVec3 {
+        self.built.origin
+    }
+
+    fn footprint(&self) -> Footprint {
+        let Built { forest, quads, wood, .. } = &*self.built;
+        let wood = wood.footprint();
+        let textures: u64 = self.textures().iter().map(|named| named.texture.byte_count()).sum();
+        let own = forest.structure_bytes() + forest.side_bytes() + quads.byte_count();
+        Footprint {
+            triangle_count: wood.triangle_count + 2 * forest.nodes.len() as u64,
+            geometry_bytes: wood.geometry_bytes + own,
+            texture_bytes: textures,
+            ..Footprint::default()
+        }
+    }
+
+    fn textures(&self) -> Vec<NamedTexture> {
+        let mut named = self.built.wood.textures();
+        for leaf in self.built.quads.textures() {
+            if !named.iter().any(|known| known.texture.id() == leaf.texture.id()) {
+                named.push(leaf);
+            }
+        }
+        named
+    }
+
+    fn emit(
+        &self,
+        view: &View,
+        crowns: &[Crown],
+        state: &mut ViewState,
+        builder: &mut ListBuilder,
+    ) -> Result<(), LodError> {
+        let Built { forest, quads, wood, .. } = &*self.built;
+        let share = match self.selection {
+            Selection::Level { leaf_count } => {
+                Some(leaf_count as f64 / f64::from(forest.leaf_count))
+            }
+            _ => None,
+        };
+        let level_of = |crown: &Crown| match (self.has_wood_levels, share) {
+            (false, _) => 0,
+            (true, Some(share)) => wood.pick_share(share),
+            (true, None) => wood.pick(view, crown, self.wood_error_px),
+        };
+        wood.emit_each(view, crowns, level_of, state, builder);
+        // near copies first, so that they hide what lies behind them
+        for crown in crowns.iter().rev() {
+            let nodes = self.select(view, crown, state, &mut Steps::default())?;
+            quads.emit(forest, &nodes, view, crown, builder);
+        }
+        Ok(())
+    }
+}

@@ -213,7 +213,7 @@ impl Work {
         forest.spheres = all;
         let mut leaves = Vec::with_capacity(node_count);
         for leaf in 0..leaf_count {
-            if leaf % 4096 == 0 {
+            if leaf.is_multiple_of(4096) {
                 job.check()?;
             }
             leaves.push(CostLeaf::new(&forest.quad(leaf)));
@@ -228,7 +228,6 @@ impl Work {
         self.forest.nodes[node as usize].parent == NONE
     }
 
-    #[cfg(test)]
     pub(super) fn cost(&self, one: u32, other: u32) -> f64 {
         let (a, b) = (&self.leaves[one as usize], &self.leaves[other as usize]);
         self.rule.cost(a, b, || [self.forest.quad(one), self.forest.quad(other)])

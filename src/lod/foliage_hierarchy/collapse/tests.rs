@@ -3,29 +3,8 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::job::run;
+use crate::lod::foliage_hierarchy::naive::collapse_naive;
 use crate::lod::foliage_hierarchy::quad::area_vectors;
-
-/// Every pair looked at in every step: what the fast search must agree with.
-fn collapse_naive(quads: &[[Vec3; 4]], areas: &[f64], params: &CollapseParams) -> Forest {
-    let mut work = Work::new(quads, areas, params, &Job::default()).expect("valid");
-    while quads.len() - work.forest.costs.len() > params.target_leaf_count {
-        let count = u32::try_from(work.forest.nodes.len()).expect("few");
-        let active: Vec<u32> = (0..count).filter(|&node| work.is_active(node)).collect();
-        let mut best: Option<(f64, u32, u32)> = None;
-        for (place, &low) in active.iter().enumerate() {
-            for &high in &active[place + 1..] {
-                let cost = work.cost(low, high);
-                // indices rise, so that of equals the first is kept
-                if cost <= params.max_cost && best.is_none_or(|known| cost < known.0) {
-                    best = Some((cost, low, high));
-                }
-            }
-        }
-        let Some((cost, low, high)) = best else { break };
-        work.collapse(Pair { cost, low, high });
-    }
-    work.forest
-}
 
 const PARAMS: CollapseParams = CollapseParams {
     distance: Distance::Centre,
@@ -83,7 +62,8 @@ fn crown(max_count: usize) -> impl Strategy<Value = Vec<[Vec3; 4]>> {
 }
 
 fn check_same(quads: &[[Vec3; 4]], params: &CollapseParams) {
-    let naive = collapse_naive(quads, &areas_of(quads), params);
+    let naive = collapse_naive(quads, &areas_of(quads), params, &Job::default());
+    let naive = naive.expect("valid").forest;
     let fast = collapsed(quads, params).forest;
     let children = |forest: &Forest| -> Vec<[u32; 2]> {
         forest.nodes[quads.len()..].iter().map(|node| node.children).collect()
