@@ -13,6 +13,7 @@ from treelod import _core, criteria
 from treelod._core import __version__
 from treelod.cameras import Camera, orbit
 from treelod.clusters import LeafClustering, PlaneMisses, cluster_leaves, plane_misses
+from treelod.collapse import LeafForest, collapse_leaves
 from treelod.errors import (
     DeviceError,
     ForkedError,
@@ -26,7 +27,13 @@ from treelod.errors import (
 from treelod.plants import Foliage, Lighting, Material, Mesh, Plant, grow_plant, load_plant
 from treelod.render import Frame, ViewState, render, time_frames
 from treelod.scenes import Scene, scatter
-from treelod.techniques import FullMesh, LeafClusters, SimplifiedMesh, Slicings
+from treelod.techniques import (
+    FoliageHierarchy,
+    FullMesh,
+    LeafClusters,
+    SimplifiedMesh,
+    Slicings,
+)
 
 if TYPE_CHECKING:
     from treelod import metrics, walks
@@ -35,12 +42,14 @@ __all__ = [
     "Camera",
     "DeviceError",
     "Foliage",
+    "FoliageHierarchy",
     "ForkedError",
     "Frame",
     "FullMesh",
     "InternalError",
     "LeafClustering",
     "LeafClusters",
+    "LeafForest",
     "Lighting",
     "LimitError",
     "Material",
@@ -57,6 +66,7 @@ __all__ = [
     "ViewState",
     "__version__",
     "cluster_leaves",
+    "collapse_leaves",
     "criteria",
     "grow_plant",
     "load_plant",

@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "FoliageHierarchy",
     "LeafClusters",
     "Plant",
     "Renderer",
@@ -17,8 +18,10 @@ __all__ = [
     "build_profile",
     "circle_directions",
     "cluster_leaves",
+    "collapse_leaves",
     "cut_times",
     "encode_png",
+    "foliage_hierarchy",
     "full_mesh",
     "grow",
     "leaf_clusters",
@@ -30,6 +33,8 @@ __all__ = [
     "smooth_normals",
     "sphere_directions",
     "split_plant",
+    "stored_hierarchy",
+    "stored_note",
     "time_naive",
     "vector_peak",
 ]
@@ -258,6 +263,54 @@ def cluster_leaves(
     threads: int | None = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> tuple[_U32, NDArray[np.float64], NDArray[np.float64], bool]: ...
+def collapse_leaves(
+    corners: _F32,
+    areas: NDArray[np.float64],
+    facts: dict[str, Any],
+    *,
+    naive: bool = False,
+    threads: int | None = None,
+    progress: Callable[[int, int], object] | None = None,
+) -> tuple[dict[str, Any], int, float]: ...
+
+@final
+class FoliageHierarchy:
+    def representation(self) -> Representation: ...
+    def with_selection(self, selection: dict[str, Any]) -> FoliageHierarchy: ...
+    def forest(self) -> tuple[dict[str, Any], int, float]: ...
+    def stored(self, plant: bytes, note: bytes) -> bytes: ...
+    @property
+    def leaf_count(self) -> int: ...
+    @property
+    def root_count(self) -> int: ...
+    @property
+    def forest_bytes(self) -> tuple[int, int]: ...
+    @property
+    def wood_levels(self) -> list[tuple[int, float]]: ...
+    def walk(
+        self, cameras: Sequence[_CameraFacts], threads: int | None
+    ) -> list[tuple[_U32, dict[str, int]]]: ...
+
+def foliage_hierarchy(
+    plant: Plant,
+    collapse: dict[str, Any],
+    facts: dict[str, Any],
+    *,
+    threads: int | None,
+    progress: Callable[[int, int], object] | None,
+) -> FoliageHierarchy: ...
+def stored_note(bytes: bytes, plant: bytes) -> bytes: ...
+def stored_hierarchy(
+    plant: Plant,
+    bytes: bytes,
+    digest: bytes,
+    collapse: dict[str, Any],
+    facts: dict[str, Any],
+    *,
+    cost_count: int,
+    d_ref: float,
+    threads: int | None,
+) -> FoliageHierarchy: ...
 def plane_misses(
     centers: _F32,
     normals: _F32,

@@ -75,6 +75,15 @@ pub(super) fn wood_from(wood: bool, triangle_count: Option<usize>) -> Wood {
     }
 }
 
+pub(super) fn filter_from(name: &str) -> PyResult<Filter> {
+    let filters = [
+        ("nearest", Filter::Nearest),
+        ("bilinear", Filter::Bilinear),
+        ("trilinear", Filter::Trilinear),
+    ];
+    choice("filter", name, &filters)
+}
+
 pub(super) fn choice<T: Copy>(
     name: &'static str,
     value: &str,
@@ -97,12 +106,7 @@ pub(super) fn full_mesh(
     wood_triangle_count: Option<usize>,
     filter: &str,
 ) -> PyResult<Representation> {
-    let filters = [
-        ("nearest", Filter::Nearest),
-        ("bilinear", Filter::Bilinear),
-        ("trilinear", Filter::Trilinear),
-    ];
-    let filter = choice("filter", filter, &filters)?;
+    let filter = filter_from(filter)?;
     let wood = wood_from(wood, wood_triangle_count);
     let plant = Arc::clone(&plant.inner);
     let built = run(py, None, None, move |_| FullMesh::build(&plant, wood, filter))?;

@@ -6,7 +6,9 @@
 
 mod arrays;
 mod clusters;
+mod collapse;
 mod criteria;
+mod foliage_hierarchy;
 mod grow;
 mod leaf_clusters;
 mod lod;
@@ -83,7 +85,13 @@ mod _core {
     #[pymodule_export]
     use super::clusters::{cluster_leaves, plane_misses, vector_peak};
     #[pymodule_export]
+    use super::collapse::collapse_leaves;
+    #[pymodule_export]
     use super::criteria::{_cut_for_test, cut_times};
+    #[pymodule_export]
+    use super::foliage_hierarchy::{
+        FoliageHierarchy, foliage_hierarchy, stored_hierarchy, stored_note,
+    };
     #[pymodule_export]
     use super::grow::{grow, preset_names};
     #[pymodule_export]

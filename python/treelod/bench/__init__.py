@@ -36,9 +36,17 @@ def _clusters(*, repeats: int, small: bool) -> Iterator[Row]:
     yield from cards.rows(repeats=repeats, small=small)
 
 
+def _collapse(*, repeats: int, small: bool) -> Iterator[Row]:
+    from treelod.bench import collapse, cuts
+
+    yield from collapse.rows(repeats=repeats, small=small)
+    yield from cuts.rows(repeats=repeats, small=small)
+
+
 GROUPS: dict[str, Callable[..., Iterator[Row]]] = {
     "bake": _bake,
     "clusters": _clusters,
+    "collapse": _collapse,
     "raster": _raster,
 }
 """Groups by name. Called with `repeats` (rounds that are counted) and `small` (seconds instead of

@@ -1,5 +1,6 @@
 """Every technique by name; a new one is one file here, one in the core, and a line below."""
 
+from treelod.techniques.foliage_hierarchy import FoliageHierarchy
 from treelod.techniques.full_mesh import FullMesh
 from treelod.techniques.leaf_clusters import LeafClusters
 from treelod.techniques.simplified_mesh import SimplifiedMesh
@@ -9,6 +10,7 @@ from treelod.techniques.technique import BakedTexture, Footprint, Technique
 __all__ = [
     "REGISTRY",
     "BakedTexture",
+    "FoliageHierarchy",
     "Footprint",
     "FullMesh",
     "LeafClusters",
@@ -18,6 +20,7 @@ __all__ = [
 ]
 
 REGISTRY: dict[str, type[Technique]] = {
-    technique.name: technique for technique in (FullMesh, Slicings, LeafClusters, SimplifiedMesh)
+    technique.name: technique
+    for technique in (FullMesh, Slicings, LeafClusters, FoliageHierarchy, SimplifiedMesh)
 }
 """Techniques by the name that tables, command lines and sweeps use."""
