@@ -42,14 +42,21 @@ GROWTH_AIM = 1.15
 """Exponent of cost evaluations over leaves."""
 
 MEMORY = """
-import resource, sys
-import numpy as np
+import sys
+from pathlib import Path
 import treelod as tl
 from treelod.bench.collapse import crown
+
+def kib(name):
+    status = Path("/proc/self/status").read_text()
+    return int(status.split(name + ":")[1].split()[0])
+
 corners = crown(int(sys.argv[1]))
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+before = kib("VmRSS")
+# the peak so far is forgotten
+Path("/proc/self/clear_refs").write_text("5")
 tl.collapse_leaves(corners, threads=1)
-print(before, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+print(before, kib("VmHWM"))
 """
 
 
@@ -70,7 +77,8 @@ def crown(leaf_count: int, *, same_size: bool = False) -> NDArray[np.float32]:
     """
     foliage = grow_plant("chestnut").foliage
     rng = np.random.default_rng(1)
-    leaves = rng.integers(0, foliage.leaf_count, leaf_count)
+    # along the same branches, as leaves of one plant are stored
+    leaves = np.sort(rng.integers(0, foliage.leaf_count, leaf_count))
     spread = 1.0 if same_size else (leaf_count / foliage.leaf_count) ** (1 / 3)
     centers = foliage.centers[leaves].astype(np.float64)
     offsets = foliage.rectangles[leaves] - centers[:, None]

@@ -54,12 +54,12 @@ def rows(*, repeats: int, small: bool) -> Iterator[Row]:
     """
     for leaf_count in (500, 2000) if small else LEAF_COUNTS:
         hierarchy = _hierarchy(leaf_count)
-        balls = hierarchy.forest.balls
-        root = balls[-1]
-        center, radius = root[:3], float(root[3])
+        positions = hierarchy.forest.positions
+        center = (positions.min(axis=0) + positions.max(axis=0)) / 2
+        radius = float(np.linalg.norm(positions - center, axis=1).max())
         zones: dict[str, Criterion] = {
             "screen size 8 px": criteria.screen_size(8),
-            "coarse inside a sphere": criteria.sphere(center, radius / 2),
+            "coarse inside a sphere": criteria.sphere(center, 0.6 * radius),
             "fine before a plane": criteria.plane(center, (0, 0, 1)),
             "nearer than the middle": criteria.distance(2.5 * radius),
         }
