@@ -185,13 +185,15 @@ mod tests {
             let first = square(at(0), at(1), 0.1 + at(2));
             let second = square(at(3), at(4), 0.1 + at(5));
             let target = 0.5 + at(6);
-            let chosen = new_leaf(&first, &second, DVec3::Z, target, Choice::Balanced);
-            let [a, b, c, d] = corners_of(&first, &second, chosen);
             let crosses = |p: DVec3, q: DVec3, r: DVec3, s: DVec3| {
                 let side = |u: DVec3, v: DVec3, w: DVec3| (v - u).cross(w - u).z;
                 side(p, q, r) * side(p, q, s) < 0.0 && side(r, s, p) * side(r, s, q) < 0.0
             };
-            assert!(!crosses(a, b, c, d) && !crosses(b, c, d, a), "{seed}: {chosen:?}");
+            for choice in [Choice::Balanced, Choice::Paper] {
+                let chosen = new_leaf(&first, &second, DVec3::Z, target, choice);
+                let [a, b, c, d] = corners_of(&first, &second, chosen);
+                assert!(!crosses(a, b, c, d) && !crosses(b, c, d, a), "{seed}: {chosen:?}");
+            }
         }
     }
 }

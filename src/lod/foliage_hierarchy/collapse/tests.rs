@@ -192,6 +192,23 @@ fn texture_corners_stay_on_their_side() {
 }
 
 #[test]
+fn leaves_whose_centres_lie_apart_are_found_by_their_corners() {
+    // two spindles over one another, wide at opposite ends: centres are 3.3 apart, half their radius,
+    // but no corner is farther than 0.5 from the other; each has a copy 0.6 above that comes first
+    let spindle = |base: f32, tip: f32, z: f32| {
+        [[base, 0.0], [base, 1.0], [tip, 0.5], [tip, 0.5]].map(|[x, y]| Vec3::new(x, y, z))
+    };
+    let (left, right) = (spindle(0.0, 10.0, 0.0), spindle(10.0, 0.0, 0.0));
+    let quads = [spindle(10.0, 0.0, 0.6), spindle(0.0, 10.0, -0.6), left, right];
+    let params = CollapseParams { distance: Distance::Hausdorff, weight: 0.0, ..PARAMS };
+    let forest = collapsed(&quads, &params).forest;
+    assert_eq!(forest.nodes[4].children, [2, 3], "the nearest by corners");
+    let centres = collapsed(&quads, &CollapseParams { weight: 0.0, ..PARAMS }).forest;
+    assert_ne!(centres.nodes[4].children, [2, 3], "not by centres");
+    check_same(&quads, &params);
+}
+
+#[test]
 fn equal_leaves_collapse_in_the_order_of_their_indices() {
     let one = leaf(Vec3::ZERO, (0.5, 0.5), DQuat::IDENTITY);
     let forest = collapsed(&[one; 5], &PARAMS).forest;
