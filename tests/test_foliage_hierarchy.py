@@ -305,7 +305,7 @@ def test_leaves_of_several_materials_are_all_drawn():
     camera = tl.orbit(many, count=1, size=SIZE)[0]
     for count in (60, 13, 1):
         assert tl.render(lod.at(leaf_count=count), camera).stats.triangles == 2 * count
-    full = tl.FullMesh.build(many, filter="trilinear")
+    full = tl.FullMesh.build(many)
     np.testing.assert_array_equal(
         picture(lod.at(leaf_count=60), camera)[..., 3], picture(full, camera)[..., 3]
     )

@@ -34,7 +34,7 @@ __all__ = ["ActiveNodes", "FoliageHierarchy"]
 NOTHING = {"leaf_count": None, "quad_px": None, "criterion": None, "rule": "inclusive"}
 """A selection without what is selected."""
 
-BALL_PX = 8.0
+BALL_PX = 4.0
 """Pixels that the ball around what a node stands for may look across, where nothing else is said:
 see the measurements in docs/foliage_hierarchy.md."""
 
@@ -244,11 +244,11 @@ class FoliageHierarchy(Technique):
         ball_px: float | None = None,
         criterion: CriterionLike | None = None,
         rule: Literal["inclusive", "paper"] = "inclusive",
-        filter: Literal["nearest", "bilinear", "trilinear"] = "trilinear",  # noqa: A002
+        filter: Literal["nearest", "bilinear", "trilinear"] = "bilinear",  # noqa: A002
         wood: bool = True,
         wood_triangle_count: int | None = None,
         wood_levels: bool = True,
-        wood_error_px: float = 1.0,
+        wood_error_px: float = 0.25,
         threads: int | None = None,
         progress: Callable[[int, int], object] | None = None,
     ) -> FoliageHierarchy:
@@ -290,23 +290,25 @@ class FoliageHierarchy(Technique):
         ball_px : float, optional
             Draw nodes whose ball looks at most this many pixels across, wherever they are: the
             criterion ``treelod.criteria.screen_size(ball_px)``. Default, if none of these four is
-            given: 8.
+            given: 4.
         criterion : Criterion or callable, optional
             Draw more where this holds; see `view_dependent`.
         rule : {'inclusive', 'paper'}, default 'inclusive'
             See `view_dependent`.
-        filter : {'nearest', 'bilinear', 'trilinear'}, default 'trilinear'
-            How textures are read; see `FullMesh.build`. Trilinear levels of cut-out leaves keep
-            the share of what is not cut out.
+        filter : {'nearest', 'bilinear', 'trilinear'}, default 'bilinear'
+            How textures are read; see `FullMesh.build`. Trilinear flickers less at few samples a
+            pixel, but the mips of leaves that are cut out lose their outline: a crown then covers
+            up to a fifth less, or a third more, than the full mesh.
         wood : bool, default True
             Whether trunk and limbs are drawn.
         wood_triangle_count : int, optional
             About how many triangles the wood's finest level is simplified to; see `FullMesh.build`.
         wood_levels : bool, default True
             Whether the wood is simplified along with the foliage.
-        wood_error_px : float, default 1.0
-            By how many pixels simplified wood may be off, in [0, 1e6]; with `leaf_count` the wood
-            has the same share of its triangles instead.
+        wood_error_px : float, default 0.25
+            By how many pixels simplified wood may be off, in [0, 1e6]. Twigs thinner than that are
+            drawn back, so that bare wood thins; 0 keeps all of it. With `leaf_count` the wood has
+            the same share of its triangles instead.
         threads : int, optional
             Default: ``TREELOD_NUM_THREADS``, else all cores.
         progress : callable, optional
@@ -411,11 +413,11 @@ class FoliageHierarchy(Technique):
         ball_px: float | None = None,
         criterion: CriterionLike | None = None,
         rule: Literal["inclusive", "paper"] = "inclusive",
-        filter: Literal["nearest", "bilinear", "trilinear"] = "trilinear",  # noqa: A002
+        filter: Literal["nearest", "bilinear", "trilinear"] = "bilinear",  # noqa: A002
         wood: bool = True,
         wood_triangle_count: int | None = None,
         wood_levels: bool = True,
-        wood_error_px: float = 1.0,
+        wood_error_px: float = 0.25,
         threads: int | None = None,
     ) -> FoliageHierarchy:
         """
