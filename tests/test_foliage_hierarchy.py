@@ -1,6 +1,7 @@
 """Foliage hierarchies through the public face: levels, criteria, coverage, files and bad input."""
 
 import itertools
+import math
 import os
 import subprocess
 import sys
@@ -131,6 +132,28 @@ def test_uniform_detail_falls_with_distance(plant, lod):
 
 
 # Criteria
+
+
+def test_nodes_that_are_not_drawn_count_for_nothing(plant, lod):
+    camera = tl.orbit(plant, count=1, distance=6, size=SIZE)[0]
+    forest = lod.forest
+    leaves, nodes = (forest.quads()[:count].reshape(-1, 3) for count in (200, 399))
+    assert np.ptp(nodes, axis=0).max() > 1.05 * np.ptp(leaves, axis=0).max()
+    # the size of quads is that at the nearest point of a ball around the leaves alone
+    low, high = leaves.min(axis=0), leaves.max(axis=0)
+    away = np.linalg.norm((low + high) / 2 - camera.eye) - np.linalg.norm(high - low) / 2
+    side = 6 / camera.pixels_per_metre(away)
+    (active,) = lod.uniform(quad_px=6).active([camera])
+    expected = math.ceil(forest.areas[:200].sum() / side**2)
+    assert 1 < expected < 200
+    assert len(active.nodes) == expected
+
+    def bounds_of(subject):
+        return tl.render(subject, camera, samples=1).bounds_px
+
+    # and frames have the bounds of what may be drawn
+    assert bounds_of(lod.at(leaf_count=200)) == bounds_of(tl.FullMesh.build(plant))
+    assert bounds_of(lod.at(leaf_count=1)) != bounds_of(tl.FullMesh.build(plant))
 
 
 def test_criteria_draw_what_they_say(plant, lod, cameras):

@@ -114,6 +114,8 @@ pub struct Params {
 pub struct FoliageHierarchy {
     built: Arc<Built>,
     selection: Selection,
+    /// Around whatever the selection may draw.
+    bounds: (DVec3, DVec3),
     has_wood_levels: bool,
     wood_error_px: f64,
 }
@@ -128,12 +130,24 @@ struct Built {
     d_ref: f64,
     /// Area of all leaves, in square metres.
     area: f64,
-    /// Around all quads, relative to the plant's origin.
+    /// Around the quads of all leaves, relative to the plant's origin. Nodes made late reach far
+    /// beyond them, but are seldom drawn.
     ball: (DVec3, f64),
     quads: Quads,
     wood: WoodLevels,
-    bounds: (DVec3, DVec3),
     origin: DVec3,
+}
+
+impl Built {
+    /// Box around the wood and every node that a selection may draw.
+    fn bounds(&self, selection: &Selection) -> (DVec3, DVec3) {
+        let node_count = match selection {
+            Selection::Level { leaf_count } => 2 * self.forest.leaf_count as usize - leaf_count,
+            Selection::Uniform { .. } | Selection::Variable { .. } => self.forest.nodes.len(),
+        };
+        let (low, high) = self.quads.bounds(node_count);
+        self.wood.bounds().map_or((low, high), |(a, b)| (low.min(a), high.max(b)))
+    }
 }
 
 /// What a camera remembers of a copy.
@@ -197,23 +211,24 @@ impl FoliageHierarchy {
         let Made { forest, cost_count, d_ref } = made;
         let wood = WoodLevels::build(plant, params.wood, params.filter, job)?;
         let drawn = vertices.freeze(&forest, job)?;
-        let (low, high) = drawn.bounds();
+        let leaf_count = forest.leaf_count as usize;
+        let (low, high) = drawn.bounds(leaf_count);
         let middle = (low + high) * 0.5;
-        let bounds = wood.bounds().map_or((low, high), |(a, b)| (low.min(a), high.max(b)));
-        let selection = Selection::Level { leaf_count: forest.leaf_count as usize };
+        let built = Built {
+            order: DepthFirst::new(&forest),
+            area: forest.roots().map(|root| forest.areas[root as usize]).sum(),
+            forest: Arc::new(forest),
+            cost_count,
+            d_ref,
+            ball: (middle, (high - low).length() * 0.5),
+            quads: drawn,
+            wood,
+            origin: plant.origin,
+        };
+        let selection = Selection::Level { leaf_count };
         Ok(Self {
-            built: Arc::new(Built {
-                order: DepthFirst::new(&forest),
-                area: forest.roots().map(|root| forest.areas[root as usize]).sum(),
-                forest: Arc::new(forest),
-                cost_count,
-                d_ref,
-                ball: (middle, (high - low).length() * 0.5),
-                quads: drawn,
-                wood,
-                bounds,
-                origin: plant.origin,
-            }),
+            bounds: built.bounds(&selection),
+            built: Arc::new(built),
             selection,
             has_wood_levels: params.has_wood_levels,
             wood_error_px: params.wood_error_px,
@@ -230,7 +245,8 @@ impl FoliageHierarchy {
             let forest = &self.built.forest;
             check_in("leaf_count", leaf_count, forest.root_count()..=forest.leaf_count as usize)?;
         }
-        Ok(Self { selection, ..self.clone() })
+        let bounds = self.built.bounds(&selection);
+        Ok(Self { selection, bounds, ..self.clone() })
     }
 
     /// The forest.
@@ -357,7 +373,7 @@ fn pixel_size(view: &View, crown: &Crown, (center, radius): (DVec3, f64)) -> f64
 
 impl Representation for FoliageHierarchy {
     fn bounds(&self) -> (DVec3, DVec3) {
-        self.built.bounds
+        self.bounds
     }
 
     fn origin(&self) -> DVec3 {

@@ -137,9 +137,10 @@ impl Quads {
         self.geometry.id()
     }
 
-    /// The box around the quads of all nodes, relative to the plant's origin.
-    pub(super) fn bounds(&self) -> (DVec3, DVec3) {
-        let corners = self.geometry.buffers().positions.iter().map(|p| p.as_dvec3());
+    /// The box around the quads of the first nodes, relative to the plant's origin.
+    pub(super) fn bounds(&self, node_count: usize) -> (DVec3, DVec3) {
+        let corners = &self.geometry.buffers().positions[..node_count * 4];
+        let corners = corners.iter().map(|p| p.as_dvec3());
         corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), corner| {
             (low.min(corner), high.max(corner))
         })
