@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -231,6 +234,9 @@ def test_no_leaves_and_one_leaf() -> None:
         ("areas", {"areas": np.zeros(3)}),
         ("areas", {"areas": np.array([1.0, -1.0])}),
         ("areas", {"areas": np.array([1.0, np.inf])}),
+        ("areas", {"areas": np.array([1.0, 1e37])}),
+        ("d_ref", {"d_ref": 1e-101}),
+        ("threads", {"threads": -1}),
         ("distance", {"distance": "far"}),
         ("weight", {"weight": -1.0}),
         ("weight", {"weight": np.inf}),
@@ -246,6 +252,36 @@ def test_bad_arguments_are_named(name: str, change: dict[str, Any]) -> None:
         given["corners"][0] = -1e300
     with pytest.raises(ValueError, match=f"^{name}"):
         tl.collapse_leaves(given.pop("corners"), **given)
+
+
+def test_extreme_areas_stay_finite() -> None:
+    corners = _crown(2, 0, grid=False)
+    for areas in ([5e-324, 0.0], [1e36, 1e36], [0.0, 0.0]):
+        forest = tl.collapse_leaves(corners, areas)
+        assert np.isfinite(forest.d_ref)
+        assert forest.d_ref > 0
+        for name in ("costs", "areas", "scales", "balls"):
+            assert np.isfinite(getattr(forest, name)).all(), (areas, name)
+
+
+def test_ctrl_c_ends_a_search_among_leaves_at_one_place() -> None:
+    code = """
+        import _thread, threading, time
+        import numpy as np
+        import treelod as tl
+        square = np.float32([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+        leaves = np.tile(square, (200_000, 1, 1))
+        threading.Timer(0.5, _thread.interrupt_main).start()
+        start = time.perf_counter()
+        try:
+            tl.collapse_leaves(leaves, threads=1)
+        except KeyboardInterrupt:
+            print(time.perf_counter() - start - 0.5)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(code)]
+    printed = subprocess.run(command, check=True, capture_output=True, text=True, timeout=120)
+    # 1 s, with room for a machine on which other tests run
+    assert float(printed.stdout) < 3
 
 
 def test_wrong_types_are_named() -> None:

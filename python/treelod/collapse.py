@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from treelod import _core
-from treelod.techniques.technique import flag, number, whole
+from treelod.render import thread_count
+from treelod.techniques.technique import flag, number, text, whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["LeafForest", "collapse_leaves"]
+
+MAX_AREA = 1e36
+"""Square metres of a leaf: the square of the largest coordinate."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -182,10 +186,10 @@ def collapse_facts(
 ) -> dict[str, Any]:
     """Return how leaves collapse as the core takes it; see `collapse_leaves`."""
     return {
-        "distance": distance,
+        "distance": text("distance", distance),
         "weight": number("weight", weight),
         "d_ref": None if d_ref is None else number("d_ref", d_ref),
-        "choice": choice,
+        "choice": text("choice", choice),
         "keep_area": flag("keep_area", keep_area),
         "target_leaf_count": whole("target_leaf_count", target_leaf_count),
         "max_cost": None if max_cost is None else number("max_cost", max_cost),
@@ -221,13 +225,14 @@ def collapse_leaves(
         taken as it is. Anything else is brought near zero in float64 before it is stored in
         float32, so a crown may lie far away.
     areas : array_like of shape (L,), optional
-        Square metres that each quad stands for, at least 0. Default: its own area.
+        Square metres that each quad stands for, in [0, 1e36]. Default: its own area.
     distance : {'centre', 'hausdorff'}, default 'centre'
         Between centroids, or of the corner that is farthest from the other quad, both ways.
     weight : float, default 1.0
         Of the second term, at least 0.
     d_ref : float, optional
-        Metres, above 0. Default: the side of a square of the mean area; 1 if there is no area.
+        Metres, in [1e-100, 1e100]. Default: the side of a square of the mean area; 1 if there is
+        no area.
     choice : {'balanced', 'paper'}, default 'balanced'
         What the new quad is chosen for among those that do not cross themselves. 'balanced': the
         least ``|S - T| / T + (1 - V / S)``, S its area, T that of the leaves below, V the length of
@@ -284,7 +289,7 @@ def collapse_leaves(
         near.reshape(-1, 12),
         _areas(areas, near),
         facts,
-        threads=threads,
+        threads=thread_count(threads),
         progress=progress,
     )
     found["positions"] += origin
@@ -327,7 +332,7 @@ def _areas(areas: ArrayLike | None, corners: NDArray[np.float32]) -> NDArray[np.
         )
         raise ValueError(msg)
     wide = np.ascontiguousarray(given, dtype=np.float64)
-    if not (np.isfinite(wide) & (wide >= 0.0)).all():
-        msg = "areas must be finite and at least 0"
+    if not ((wide >= 0.0) & (wide <= MAX_AREA)).all():
+        msg = f"areas must be in [0, {MAX_AREA:g}]"
         raise ValueError(msg)
     return wide

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -34,6 +35,9 @@ __all__ = [
 
 MAX_DEPTH = 64
 """Criteria within one another."""
+
+MAX_PART_COUNT = 1024
+"""Criteria in one."""
 
 MAX_COORDINATE = 1e18
 """Largest length in metres."""
@@ -103,12 +107,18 @@ class Criterion:
 
     def __invert__(self) -> Criterion:
         """Where it is not."""
-        return self.part if isinstance(self, _Not) else _Not(self)
+        return self.part if isinstance(self, _Not) else _checked(_Not(self))
 
     @property
     def parts(self) -> tuple[Criterion, ...]:
         """What it is combined of; empty for one that is not combined."""
         return ()
+
+    @cached_property
+    def _extent(self) -> tuple[int, int]:
+        """How many criteria it is made of, itself included, and how deep they lie."""
+        counts, depths = zip(*[part._extent for part in self.parts] or [(0, 0)], strict=True)
+        return 1 + sum(counts), 1 + max(depths)
 
     def _core(self) -> tuple[Any, ...]:
         """Name and numbers, or name and parts, as the core takes them."""
@@ -437,7 +447,8 @@ def criterion_from(value: CriterionLike) -> Criterion:
         its target being some point on the line of sight, and returns an array of shape (N,) and
         dtype bool: which nodes are marked. It is called once for each copy and picture, with all
         nodes, and its answer must depend on its arguments alone. What it raises reaches the caller
-        of `render`.
+        of `render`. It must not draw or build anything with treelod, which is refused, nor wait
+        for a thread that does; and Ctrl-C waits until it returns.
 
     Returns
     -------
@@ -464,13 +475,22 @@ def criterion_from(value: CriterionLike) -> Criterion:
             msg = f"criterion must be a Criterion or a function, got {type(value).__name__}"
             raise TypeError(msg)
         return _Function(value)
-    level: list[Criterion] = [value]
-    for _ in range(MAX_DEPTH):
-        level = [part for criterion in level for part in criterion.parts]
-        if not level:
-            return value
-    msg = f"criterion must not be more than {MAX_DEPTH} criteria within one another"
-    raise ValueError(msg)
+    if type(value) is Criterion:
+        msg = "criterion must be made by one of the functions of treelod.criteria"
+        raise TypeError(msg)
+    return _checked(value)
+
+
+def _checked(criterion: Criterion) -> Criterion:
+    """Refuse one that is too large, before it grows further."""
+    count, depth = criterion._extent
+    if depth > MAX_DEPTH:
+        msg = f"criterion must not be more than {MAX_DEPTH} criteria within one another"
+        raise ValueError(msg)
+    if count > MAX_PART_COUNT:
+        msg = f"criterion must not have more than {MAX_PART_COUNT} parts"
+        raise ValueError(msg)
+    return criterion
 
 
 def _is_like(value: object) -> bool:
@@ -483,14 +503,14 @@ def _joined(kind: type[_And] | type[_Or], first: CriterionLike, second: Criterio
     for value in (first, second):
         criterion = criterion_from(value)
         parts.extend(criterion.parts if isinstance(criterion, kind) else (criterion,))
-    return kind(tuple(parts))
+    return _checked(kind(tuple(parts)))
 
 
 def _vector(
     name: str, value: ArrayLike, *, limit: float = MAX_COORDINATE
 ) -> tuple[float, float, float]:
-    array = np.asarray(value, dtype=np.float64)
-    if array.shape != (3,) or not np.isfinite(array).all():
+    array = np.asarray(value)
+    if array.dtype.kind not in "iuf" or array.shape != (3,) or not np.isfinite(array).all():
         msg = f"{name} must be 3 finite numbers, got {value!r}"
         raise ValueError(msg)
     if np.abs(array).max() > limit:
@@ -500,6 +520,9 @@ def _vector(
 
 
 def _length(name: str, value: float) -> float:
+    if isinstance(value, str | bytes | bool | np.bool_) or not hasattr(value, "__float__"):
+        msg = f"{name} must be a number, got {value!r}"
+        raise TypeError(msg)
     number = float(value)
     if not 0.0 <= number <= MAX_COORDINATE:
         msg = f"{name} must be in [0, {MAX_COORDINATE:g}], got {number}"

@@ -37,16 +37,18 @@ use glam::{DVec3, Vec3};
 
 use crate::error::{LodError, check_in};
 use crate::job::Job;
+use crate::lod::foliage_hierarchy::active::Changes;
 use crate::lod::foliage_hierarchy::collapse::{CollapseParams, Collapsed, collapse};
 use crate::lod::foliage_hierarchy::coverage::keep_coverage;
 use crate::lod::foliage_hierarchy::criteria::{Criterion, Placed};
-use crate::lod::foliage_hierarchy::cut::{Cut, Rule, Steps};
+use crate::lod::foliage_hierarchy::cut::{Cut, Rule, Steps, scratch};
 use crate::lod::foliage_hierarchy::depth_first::DepthFirst;
 use crate::lod::foliage_hierarchy::drawing::{NodeVertices, Quads};
 use crate::lod::foliage_hierarchy::forest::Forest;
 use crate::lod::foliage_hierarchy::leaf_quads::{LeafQuad, leaf_quads};
 use crate::lod::foliage_hierarchy::uniform::uniform;
 use crate::lod::foliage_hierarchy::zone::Zone;
+use crate::lod::solid::ready_to_draw;
 use crate::lod::wood::Wood;
 use crate::lod::wood_levels::WoodLevels;
 use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation, largest_scale};
@@ -155,7 +157,19 @@ impl Built {
 struct Memory {
     /// The geometry that the list belongs to.
     owner: Option<u64>,
-    cut: Option<Cut>,
+    kept: Kept,
+}
+
+#[derive(Debug, Default)]
+enum Kept {
+    #[default]
+    Nothing,
+    /// The nodes of a level of one count.
+    Uniform(Vec<u32>),
+    /// The nodes of a first view: most pictures have no second one.
+    Once(Vec<u32>),
+    /// What it takes to follow the view.
+    Followed(Box<Cut>),
 }
 
 impl FoliageHierarchy {
@@ -209,7 +223,9 @@ impl FoliageHierarchy {
         job: &Job,
     ) -> Result<Self, LodError> {
         let Made { forest, cost_count, d_ref } = made;
-        let wood = WoodLevels::build(plant, params.wood, params.filter, job)?;
+        let max_level_count = if params.has_wood_levels { usize::MAX } else { 1 };
+        let materials = &vertices.materials;
+        let wood = WoodLevels::build(plant, params.wood, max_level_count, materials, job)?;
         let drawn = vertices.freeze(&forest, job)?;
         let leaf_count = forest.leaf_count as usize;
         let (low, high) = drawn.bounds(leaf_count);
@@ -296,25 +312,54 @@ impl FoliageHierarchy {
         state: &'a mut ViewState,
         steps: &mut Steps,
     ) -> Result<std::borrow::Cow<'a, [u32]>, LodError> {
-        let Built { forest, order, quads, .. } = &*self.built;
+        let Built { forest, order, .. } = &*self.built;
         match &self.selection {
             Selection::Level { leaf_count } => Ok(uniform(order, *leaf_count)?.into()),
             Selection::Uniform { quad_px } => {
                 let leaf_count = self.uniform_count(view, crown, *quad_px);
-                Ok(uniform(order, leaf_count)?.into())
+                let memory = self.memory(crown, state);
+                if !matches!(memory.kept, Kept::Uniform(_)) {
+                    memory.kept = Kept::Uniform(uniform(order, leaf_count)?);
+                }
+                let Kept::Uniform(nodes) = &mut memory.kept else { unreachable!("just made") };
+                uniform::step(order, nodes, leaf_count, &mut Changes::default())?;
+                Ok((&nodes[..]).into())
             }
             Selection::Variable { criterion, rule } => {
-                let memory: &mut Memory = state.slot(crown.key);
-                if memory.owner != Some(quads.id()) {
-                    *memory = Memory { owner: Some(quads.id()), cut: None };
-                }
-                let cut = memory.cut.get_or_insert_with(|| Cut::new(forest, order));
                 let placed = Placed { view, world_from_local: crown.world_from_local };
                 let zone = Zone::new(criterion, forest, order, &placed)?;
+                let memory = self.memory(crown, state);
+                let mut cut = match std::mem::take(&mut memory.kept) {
+                    Kept::Followed(cut) => cut,
+                    Kept::Once(nodes) => {
+                        let mut cut = Cut::new(forest, order);
+                        cut.set_active(order, nodes).expect("a list of this forest");
+                        Box::new(cut)
+                    }
+                    Kept::Nothing | Kept::Uniform(_) => {
+                        let (nodes, found) = scratch(order, &zone, *rule);
+                        *steps = found;
+                        memory.kept = Kept::Once(nodes);
+                        let Kept::Once(nodes) = &memory.kept else { unreachable!("just made") };
+                        return Ok((&nodes[..]).into());
+                    }
+                };
                 *steps = cut.update(forest, order, zone, *rule);
+                memory.kept = Kept::Followed(cut);
+                let Kept::Followed(cut) = &memory.kept else { unreachable!("just made") };
                 Ok(cut.active().into())
             }
         }
+    }
+
+    /// What a camera remembers of a copy of this hierarchy.
+    fn memory<'a>(&self, crown: &Crown, state: &'a mut ViewState) -> &'a mut Memory {
+        let memory: &mut Memory = state.slot(crown.key);
+        let owner = Some(self.built.quads.id());
+        if memory.owner != owner {
+            *memory = Memory { owner, kept: Kept::Nothing };
+        }
+        memory
     }
 
     /// How many quads of the mean area are as large as asked for.
@@ -360,7 +405,8 @@ fn vertices_of(
 ) -> Result<NodeVertices, LodError> {
     let first_id = u32::try_from(plant.wood.triangles.len()).expect("checked by the plant");
     let triangle_counts = plant.foliage.leaf_offsets.windows(2).map(|pair| pair[1] - pair[0]);
-    NodeVertices::new(forest, quads, triangle_counts, first_id, &plant.materials, filter, job)
+    let materials = ready_to_draw(&plant.materials, filter, job)?;
+    NodeVertices::new(forest, quads, triangle_counts, first_id, materials, job)
 }
 
 /// Metres of a copy's own space that a pixel shows at the nearest point of a ball; 0 with the eye in it.

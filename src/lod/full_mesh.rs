@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use crate::draw_list::Buffers;
 use crate::error::LodError;
+use crate::job::Job;
 use crate::lod::solid::Solid;
 use crate::lod::wood::Wood;
 use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation};
@@ -24,8 +25,9 @@ impl FullMesh {
     /// Takes the plant's triangles over; textures are read with `filter`.
     ///
     /// # Errors
-    /// `wood_triangle_count` of 0; [`LodError::Empty`] if nothing is left to draw.
-    pub fn build(plant: &Plant, wood: Wood, filter: Filter) -> Result<Self, LodError> {
+    /// `wood_triangle_count` of 0; [`LodError::Empty`] if nothing is left to draw;
+    /// [`LodError::Cancelled`].
+    pub fn build(plant: &Plant, wood: Wood, filter: Filter, job: &Job) -> Result<Self, LodError> {
         let mesh = wood.of(plant)?;
         let wood_count = u32::try_from(plant.wood.triangles.len()).expect("checked by the plant");
         let leaves = &plant.foliage.mesh;
@@ -35,7 +37,7 @@ impl FullMesh {
         }
         let meshes =
             [(&mesh, Buffers::ids_from(0, &mesh)), (leaves, Buffers::ids_from(wood_count, leaves))];
-        let solid = Solid::new(&meshes, &plant.materials, filter);
+        let solid = Solid::new(&meshes, &plant.materials, filter, job)?;
         // of what is drawn: without its wood a plant is smaller
         let boxes = [&mesh, leaves].into_iter().filter_map(Mesh::bounds);
         let bounds = boxes

@@ -235,8 +235,12 @@ impl LeafClusters {
             drawn.push(DrawnLevel { level, cards });
         }
         let wood = params.wood.of(plant)?;
-        let solid =
-            Solid::new(&[(&wood, Buffers::ids_from(0, &wood))], &plant.materials, Filter::Bilinear);
+        let solid = Solid::new(
+            &[(&wood, Buffers::ids_from(0, &wood))],
+            &plant.materials,
+            Filter::Bilinear,
+            job,
+        )?;
         let boxes = [&plant.foliage.mesh, &wood].into_iter().filter_map(|mesh| mesh.bounds());
         let corners = boxes.flat_map(|(low, high)| [low.as_dvec3(), high.as_dvec3()]);
         let card_corners = drawn.iter().flat_map(|drawn| drawn.cards.corners());

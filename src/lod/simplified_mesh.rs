@@ -93,7 +93,7 @@ impl SimplifiedMesh {
         let wood_count = u32::try_from(plant.wood.triangles.len()).expect("checked by the plant");
         let meshes =
             [(&wood, Buffers::ids_from(0, &wood)), (&mesh, Buffers::ids_from(wood_count, &mesh))];
-        let solid = Solid::new(&meshes, &plant.materials, params.filter);
+        let solid = Solid::new(&meshes, &plant.materials, params.filter, job)?;
         // of the leaves as they were: what is left of them is never outside
         let boxes = [wood.bounds(), Some((low, high))].into_iter().flatten();
         let bounds = boxes

@@ -256,7 +256,7 @@ impl Slicings {
             blend: params.blend.clone(),
             slicings,
             cards: Geometry::new(cards),
-            solid: Solid::new(&meshes, &plant.materials, Filter::Bilinear),
+            solid: Solid::new(&meshes, &plant.materials, Filter::Bilinear, job)?,
             opacity: Opacity::Optical { tau },
             center: leaves.center,
             radius: leaves.radius,

@@ -9,6 +9,8 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use crate::draw_list::{Blend, Buffers, DrawList, Geometry, Item, Primitive, Source, Surface};
+use crate::error::LodError;
+use crate::job::Job;
 use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture};
 use crate::plant::{AlphaMode, Material, Mesh};
 use crate::texture::mips::{self, Keep};
@@ -49,38 +51,49 @@ fn prepare(
     blend: Blend,
     filter: Filter,
     prepared: &mut Vec<(u64, Blend, Arc<Texture>)>,
-) -> Arc<Texture> {
+    job: &Job,
+) -> Result<Arc<Texture>, LodError> {
+    job.check()?;
     let known = prepared.iter().find(|known| known.0 == texture.id() && known.1 == blend);
     if let Some((_, _, known)) = known {
-        return Arc::clone(known);
+        return Ok(Arc::clone(known));
     }
     let ready = if filter == Filter::Trilinear {
         let keep = match blend {
             Blend::Test(cutoff) => Keep::Coverage { cutoff },
             Blend::Opaque | Blend::Coverage | Blend::Over => Keep::MeanAlpha,
         };
-        mips::levels(texture.levels()[0].clone(), keep, &|| Ok(()))
-            .and_then(Texture::new)
-            .expect("levels that halve down to one texel")
+        let mut levels = mips::levels(texture.levels()[0].clone(), keep, &|| job.check())?;
+        if let Keep::Coverage { cutoff } = keep {
+            mips::drop_levels_without_coverage(&mut levels, cutoff);
+        }
+        Texture::new(levels).expect("levels that halve")
     } else {
         Arc::clone(texture)
     };
     let ready = ready.decoded_ahead();
     let ready = if matches!(blend, Blend::Test(_)) { ready.bounded() } else { ready };
     prepared.push((texture.id(), blend, Arc::clone(&ready)));
-    ready
+    Ok(ready)
 }
 
 /// Materials whose textures are ready to be read with a filter.
-pub(crate) fn ready_to_draw(materials: &[Material], filter: Filter) -> Vec<Material> {
+///
+/// # Errors
+/// [`LodError::Cancelled`].
+pub(crate) fn ready_to_draw(
+    materials: &[Material],
+    filter: Filter,
+    job: &Job,
+) -> Result<Vec<Material>, LodError> {
     let mut prepared: Vec<(u64, Blend, Arc<Texture>)> = Vec::new();
-    let ready = materials.iter().map(|material| Material {
-        sampler: Sampler { filter, ..material.sampler },
-        texture: material
-            .texture
-            .as_ref()
-            .map(|texture| prepare(texture, blend_of(material), filter, &mut prepared)),
-        ..material.clone()
+    let ready = materials.iter().map(|material| {
+        let mut ready = |texture| prepare(texture, blend_of(material), filter, &mut prepared, job);
+        Ok(Material {
+            sampler: Sampler { filter, ..material.sampler },
+            texture: material.texture.as_ref().map(&mut ready).transpose()?,
+            ..material.clone()
+        })
     });
     ready.collect()
 }
@@ -113,7 +126,20 @@ pub(crate) fn textures_of(
 
 impl Solid {
     /// Takes meshes over, in order, each with the ids of its triangles.
-    pub fn new(meshes: &[(&Mesh, Vec<u32>)], materials: &[Material], filter: Filter) -> Self {
+    ///
+    /// # Errors
+    /// [`LodError::Cancelled`].
+    pub fn new(
+        meshes: &[(&Mesh, Vec<u32>)],
+        materials: &[Material],
+        filter: Filter,
+        job: &Job,
+    ) -> Result<Self, LodError> {
+        Ok(Self::of_ready(meshes, ready_to_draw(materials, filter, job)?))
+    }
+
+    /// The same with materials that are ready to be drawn.
+    pub(crate) fn of_ready(meshes: &[(&Mesh, Vec<u32>)], materials: Vec<Material>) -> Self {
         let mut buffers = Buffers::default();
         let mut runs: Vec<Run> = Vec::new();
         let mut blended = Vec::new();
@@ -137,7 +163,6 @@ impl Solid {
             }
             buffers.append(Buffers::from_mesh(mesh, ids.clone()), first_vertex);
         }
-        let materials = ready_to_draw(materials, filter);
         Self { geometry: Geometry::new(buffers), materials, runs, blended }
     }
 
@@ -362,7 +387,13 @@ mod tests {
         let blended = material(AlphaMode::Blend, None);
         let materials =
             [material(MODES[0], None), material(MODES[1], None), blended.clone(), blended];
-        Solid::new(&[(&mesh, vec![10, 11, 12, 13, 14, 15])], &materials, Filter::Trilinear)
+        Solid::new(
+            &[(&mesh, vec![10, 11, 12, 13, 14, 15])],
+            &materials,
+            Filter::Trilinear,
+            &Job::default(),
+        )
+        .expect("not cancelled")
     }
 
     #[test]
@@ -432,7 +463,7 @@ mod tests {
             .collect();
         assert_eq!(blended_ids(&list), expected, "far copies first");
         assert!(emit(&solid, &view, &[], &mut ViewState::default()).items.is_empty(), "no copy");
-        let nothing = Solid::new(&[], &[], Filter::Nearest);
+        let nothing = Solid::of_ready(&[], Vec::new());
         let list = emit(&nothing, &view, &crowns(&[0.0]), &mut ViewState::default());
         assert!(list.items.is_empty() && list.instances.is_empty(), "no triangle");
     }
@@ -448,7 +479,8 @@ mod tests {
         ];
         let (one, two) = (stack(&[1.0], &[0]), stack(&[2.0, 3.0], &[1, 2]));
         let meshes = [(&one, vec![7]), (&two, vec![20, 3])];
-        let solid = Solid::new(&meshes, &materials, Filter::Nearest);
+        let solid = Solid::new(&meshes, &materials, Filter::Nearest, &Job::default());
+        let solid = solid.expect("not cancelled");
         let footprint = solid.footprint();
         assert_eq!(footprint.triangle_count, 3, "one and two");
         // 9 vertices of 4 vectors of 3, one of 2 and one of 4 floats; 9 indices

@@ -23,8 +23,7 @@ use crate::lod::simplify::{self, EdgeOptions, Method, Simplified, Simplifier};
 use crate::lod::solid::Solid;
 use crate::lod::wood::Wood;
 use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, largest_scale};
-use crate::plant::{Mesh, Part, Plant};
-use crate::texture::Filter;
+use crate::plant::{Material, Mesh, Part, Plant};
 use crate::view::View;
 use crate::view_state::ViewState;
 
@@ -47,13 +46,19 @@ pub struct WoodLevels {
 }
 
 impl WoodLevels {
-    /// Simplifies the wood of a plant to levels.
+    /// Simplifies the wood of a plant to at most so many levels, with materials ready to be drawn.
     ///
     /// # Errors
     /// As [`Wood::of`]; [`LodError::Cancelled`].
-    pub fn build(plant: &Plant, wood: Wood, filter: Filter, job: &Job) -> Result<Self, LodError> {
+    pub(crate) fn build(
+        plant: &Plant,
+        wood: Wood,
+        max_level_count: usize,
+        materials: &[Material],
+        job: &Job,
+    ) -> Result<Self, LodError> {
         let finest = wood.of(plant)?;
-        let levels = levels_of(&finest, job)?;
+        let levels = levels_of(&finest, max_level_count, job)?;
         let bounds = finest.bounds().map(|(low, high)| (low.as_dvec3(), high.as_dvec3()));
         let center = bounds.map_or(DVec3::ZERO, |(low, high)| (low + high) * 0.5);
         let used = finest.triangles.iter().flatten();
@@ -72,7 +77,7 @@ impl WoodLevels {
             ends.push(u32::try_from(mesh.triangles.len()).expect("twice the wood's at most"));
             ids.extend((0_u32..).take(level.triangles.len()));
         }
-        let solid = Solid::new(&[(&mesh, ids)], &plant.materials, filter);
+        let solid = Solid::of_ready(&[(&mesh, ids)], materials.to_vec());
         Ok(Self {
             levels: solid.cut(&ends),
             triangle_counts: levels.iter().map(|level| level.triangles.len()).collect(),
@@ -180,7 +185,7 @@ struct Level {
     error: f64,
 }
 
-fn levels_of(finest: &Mesh, job: &Job) -> Result<Vec<Level>, LodError> {
+fn levels_of(finest: &Mesh, max_level_count: usize, job: &Job) -> Result<Vec<Level>, LodError> {
     let simplifier = Simplifier::new(finest);
     let groups = simplify::by_material(finest);
     let mut levels = vec![Level {
@@ -188,7 +193,7 @@ fn levels_of(finest: &Mesh, job: &Job) -> Result<Vec<Level>, LodError> {
         parts: finest.parts.clone(),
         error: 0.0,
     }];
-    loop {
+    while levels.len() < max_level_count {
         let last = levels.last().expect("the finest");
         let target = last.triangles.len() / 2;
         let mut next = Level { triangles: Vec::new(), parts: Vec::new(), error: last.error };
@@ -204,10 +209,11 @@ fn levels_of(finest: &Mesh, job: &Job) -> Result<Vec<Level>, LodError> {
         if next.triangles.len() as f64 > WORTHWHILE * last.triangles.len() as f64
             || next.triangles.is_empty()
         {
-            return Ok(levels);
+            break;
         }
         levels.push(next);
     }
+    Ok(levels)
 }
 
 /// About `count` of some triangles, and at least one: wood must not vanish.
@@ -233,7 +239,7 @@ mod tests {
     use super::*;
     use crate::draw_list::{Blend, DrawList};
     use crate::lod::made;
-    use crate::plant::{AlphaMode, Lighting, Material, grow};
+    use crate::plant::{AlphaMode, Lighting, grow};
     use crate::raster::{Outputs, Renderer, Settings};
     use crate::texture::Sampler;
     use crate::view::Projection;
@@ -334,7 +340,8 @@ mod tests {
     }
 
     fn built(plant: &Plant, wood: Wood) -> WoodLevels {
-        WoodLevels::build(plant, wood, Filter::Bilinear, &Job::default()).expect("valid")
+        WoodLevels::build(plant, wood, usize::MAX, &plant.materials, &Job::default())
+            .expect("valid")
     }
 
     fn emitted(wood: &WoodLevels, level: usize, view: &View, crowns: &[Crown]) -> DrawList {
@@ -351,7 +358,7 @@ mod tests {
 
     /// Levels of given counts and errors without any triangle, in a ball of radius 2 about (0, 3, 0).
     fn bare(triangle_counts: &[usize], errors: &[f64]) -> WoodLevels {
-        let nothing = Solid::new(&[], &[], Filter::Nearest);
+        let nothing = Solid::of_ready(&[], Vec::new());
         WoodLevels {
             levels: vec![nothing; errors.len()],
             triangle_counts: triangle_counts.to_vec(),
@@ -371,7 +378,7 @@ mod tests {
         // but for what meshoptimizer adds for a vertex's own way: the root of 1e-7 of it
         assert!(wood.errors()[4] < 4.0 * 3.2e-4, "{:?}", wood.errors());
         assert!(wood.errors()[5..].iter().all(|&e| e > 0.1), "then sides go: {:?}", wood.errors());
-        let levels = levels_of(&plant.wood, &Job::default()).expect("not cancelled");
+        let levels = levels_of(&plant.wood, usize::MAX, &Job::default()).expect("not cancelled");
         let mesh = &plant.wood;
         for level in &levels[..5] {
             let triangles = &level.triangles;
@@ -385,7 +392,7 @@ mod tests {
         let grown = grow::grow("chestnut", 1, Some(1), Lighting::default(), &Job::default());
         let meshes = [("tube", tube(24, 60, 0.1)), ("chestnut", grown.expect("grown").wood)];
         for (name, mesh) in meshes {
-            let levels = levels_of(&mesh, &Job::default()).expect("not cancelled");
+            let levels = levels_of(&mesh, usize::MAX, &Job::default()).expect("not cancelled");
             assert!(levels.len() > 5, "{name}: {} levels", levels.len());
             for level in [&levels[1], &levels[3], &levels[5]] {
                 let left = farthest(&mesh, &level.triangles, &mesh.triangles, 40) / level.error;
@@ -408,7 +415,7 @@ mod tests {
         let ids: Vec<u32> = triangles.map(|t| if t < 300 { 1 } else { (t / 90) % 2 * 2 }).collect();
         mesh.parts = Mesh::parts_from_ids(&ids);
         let plant = plant_of(mesh, &[AlphaMode::Opaque; 3]);
-        let levels = levels_of(&plant.wood, &Job::default()).expect("not cancelled");
+        let levels = levels_of(&plant.wood, usize::MAX, &Job::default()).expect("not cancelled");
         assert_eq!(levels[0].triangles, plant.wood.triangles, "as it is");
         assert_eq!(levels[0].error, 0.0, "against itself");
         assert!(levels.len() > 3, "{} levels", levels.len());
@@ -462,14 +469,15 @@ mod tests {
     #[test]
     fn the_same_again() {
         let plant = plant_of(tube(16, 40, 0.1), &[AlphaMode::Opaque]);
-        let [one, two] = [0, 1].map(|_| levels_of(&plant.wood, &Job::default()).expect("valid"));
+        let [one, two] =
+            [0, 1].map(|_| levels_of(&plant.wood, usize::MAX, &Job::default()).expect("valid"));
         assert_eq!(one.len(), two.len(), "levels");
         for (a, b) in one.iter().zip(&two) {
             assert_eq!((&a.triangles, a.error), (&b.triangles, b.error), "bit for bit");
         }
         let job = Job::default();
         job.cancel();
-        let result = WoodLevels::build(&plant, Wood::Full, Filter::Bilinear, &job);
+        let result = WoodLevels::build(&plant, Wood::Full, usize::MAX, &plant.materials, &job);
         assert_eq!(result.err(), Some(LodError::Cancelled), "stopped");
     }
 
@@ -573,7 +581,7 @@ mod tests {
         }
         let plant = plant_of(tube(8, 8, 0.1), &[AlphaMode::Opaque]);
         let result =
-            WoodLevels::build(&plant, Wood::Simplified(0), Filter::Bilinear, &Job::default());
+            WoodLevels::build(&plant, Wood::Simplified(0), 1, &plant.materials, &Job::default());
         let error = result.expect_err("refused");
         assert!(error.to_string().starts_with("wood_triangle_count"), "{error}");
     }

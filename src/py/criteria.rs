@@ -1,12 +1,13 @@
 //! Criteria of foliage for Python, and functions of the caller's own as criteria.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::{DAffine3, DVec3};
 use numpy::{IntoPyArray, PyReadonlyArray1};
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::exceptions::{PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
 
@@ -27,6 +28,34 @@ use crate::view::{Projection, View};
 
 /// What functions have raised, until the kernel that called them has returned.
 static RAISED: Mutex<BTreeMap<u64, PyErr>> = Mutex::new(BTreeMap::new());
+
+thread_local! {
+    /// Whether a function of the caller's runs on this thread.
+    static INSIDE: Cell<bool> = const { Cell::new(false) };
+}
+
+fn inside<T>(call: impl FnOnce() -> T) -> T {
+    INSIDE.set(true);
+    let answer = call();
+    INSIDE.set(false);
+    answer
+}
+
+/// Refuses a kernel that a criterion's function asks for: it would wait for the thread it runs on.
+pub(super) fn check_not_inside() -> PyResult<()> {
+    if INSIDE.get() {
+        let text = "a criterion's function must not draw or build anything with treelod";
+        return Err(PyRuntimeError::new_err(text));
+    }
+    Ok(())
+}
+
+/// Forgets what functions have raised in a call that ends for another reason.
+pub(super) fn forget_raised(error: &LodError) {
+    if let LodError::Callback { id } = error {
+        drop(take_raised(*id));
+    }
+}
 
 /// Keeps an exception while the core passes its number on.
 fn raised(error: PyErr) -> LodError {
@@ -119,7 +148,8 @@ impl Function {
 
     fn call(&self, py: Python<'_>, placed: &Placed<'_>) -> PyResult<Vec<bool>> {
         let arrays = self.arrays(py, &placed.world_from_local)?;
-        let answer = self.function.call1(py, (arrays, camera(py, placed.view)?))?;
+        let camera = camera(py, placed.view)?;
+        let answer = inside(|| self.function.call1(py, (arrays, camera)))?;
         let answer: PyReadonlyArray1<'_, bool> = answer.extract(py)?;
         Ok(slice("criterion", &answer)?.to_vec())
     }
@@ -146,8 +176,11 @@ impl Function {
 fn arrays<'py>(py: Python<'py>, forest: &Forest, at: &DAffine3) -> PyResult<Bound<'py, PyTuple>> {
     let nodes = (0_u32..).zip(&forest.nodes);
     let place = |point: DVec3| at.transform_point3(point);
-    let centers: Vec<DVec3> =
-        nodes.clone().map(|(node, _)| place(measure(&forest.quad(node)).center)).collect();
+    let centers: Vec<DVec3> = nodes
+        .clone()
+        // rounded as the core's own criteria see them
+        .map(|(node, _)| place(measure(&forest.quad(node)).center.as_vec3().as_dvec3()))
+        .collect();
     let balls: Vec<DVec3> =
         forest.spheres.iter().map(|ball| place(ball.center.as_dvec3())).collect();
     let stretch = stretch(&at.matrix3);

@@ -13,7 +13,7 @@ use super::lod::{Representation, filter_from, wood_from};
 use super::plant::Plant;
 use super::run::run;
 use super::view::CameraFacts;
-use crate::error::check_limit;
+use crate::error::{check_in, check_limit};
 use crate::lod::foliage_hierarchy::cut::Steps;
 use crate::lod::foliage_hierarchy::forest::Forest;
 use crate::lod::foliage_hierarchy::stored;
@@ -46,6 +46,7 @@ pub(super) struct SelectionFacts<'py> {
 
 impl SelectionFacts<'_> {
     fn selection(&self, forest: &Arc<Forest>, origin: DVec3) -> PyResult<Selection> {
+        let rule = rule(&self.rule)?;
         if let Some(leaf_count) = self.leaf_count {
             return Ok(Selection::Level { leaf_count });
         }
@@ -54,7 +55,7 @@ impl SelectionFacts<'_> {
         }
         let facts = self.criterion.as_ref().expect("the face gives one of the three");
         let criterion = criterion(facts, forest, origin)?;
-        Ok(Selection::Variable { criterion, rule: rule(&self.rule)? })
+        Ok(Selection::Variable { criterion, rule })
     }
 }
 
@@ -189,6 +190,9 @@ pub(super) fn foliage_hierarchy(
     let params = facts.params(&collapse)?;
     // refused before the work begins; the criterion is made again for the forest that it serves
     facts.selection.selection(&Arc::default(), plant.origin)?.check()?;
+    if let Some(leaf_count) = facts.selection.leaf_count {
+        check_in("leaf_count", leaf_count, 1..=plant.foliage.leaf_count().max(1))?;
+    }
     let inner =
         run(py, threads, progress, move |job| core::FoliageHierarchy::build(&plant, &params, job))?;
     FoliageHierarchy { inner }.with_selection(facts.selection)

@@ -109,7 +109,7 @@ pub(super) fn full_mesh(
     let filter = filter_from(filter)?;
     let wood = wood_from(wood, wood_triangle_count);
     let plant = Arc::clone(&plant.inner);
-    let built = run(py, None, None, move |_| FullMesh::build(&plant, wood, filter))?;
+    let built = run(py, None, None, move |job| FullMesh::build(&plant, wood, filter, job))?;
     Ok(Representation { inner: Arc::new(built) })
 }
 

@@ -5,8 +5,9 @@
 //! progress callback cancels the [`Job`], and the call returns once the kernel has stopped. A panic
 //! becomes `treelod.InternalError`; pyo3's own `PanicException` would slip past `except Exception`.
 //!
-//! A kernel must hold no Python object: dropping or touching one needs the interpreter, and waiting
-//! for it while the caller waits for the kernel would hang.
+//! A kernel touches no Python object, but for a criterion's function, which attaches to the interpreter
+//! while the caller waits without it. Such a function must not start another kernel: it would wait for
+//! the thread that it runs on, so that is refused.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -40,6 +41,7 @@ pub(super) fn run<T: Send>(
     progress: Option<Py<PyAny>>,
     kernel: impl FnOnce(&Job) -> Result<T, LodError> + Send,
 ) -> PyResult<T> {
+    super::criteria::check_not_inside()?;
     let mut watch = Watch { progress, reported: (0, 0) };
     py.detach(|| {
         let job = Job::default();
@@ -80,6 +82,9 @@ pub(super) fn run<T: Send>(
             ))),
             Ok(result) => {
                 if let Some(error) = interruption {
+                    if let Err(unseen) = &result {
+                        super::criteria::forget_raised(unseen);
+                    }
                     return Err(error);
                 }
                 let value = result?;

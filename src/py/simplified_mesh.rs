@@ -4,12 +4,11 @@ use std::sync::Arc;
 
 use pyo3::prelude::*;
 
-use super::lod::{Representation, choice, wood_from};
+use super::lod::{Representation, choice, filter_from, wood_from};
 use super::plant::Plant;
 use super::run::run;
 use crate::lod::simplified_mesh::{Params, SimplifiedMesh, Target};
 use crate::lod::simplify::{EdgeOptions, Method};
-use crate::texture::Filter;
 
 /// Parameters as the Python face states them.
 #[derive(FromPyObject)]
@@ -41,11 +40,6 @@ impl SimplifiedMeshFacts {
             ("attributes", attributes),
             ("sloppy", Method::Sloppy),
         ];
-        let filters = [
-            ("nearest", Filter::Nearest),
-            ("bilinear", Filter::Bilinear),
-            ("trilinear", Filter::Trilinear),
-        ];
         Ok(Params {
             target: self
                 .triangle_count
@@ -53,7 +47,7 @@ impl SimplifiedMeshFacts {
             method: choice("method", &self.method, &methods)?,
             target_error_rel: self.target_error_rel,
             wood: wood_from(self.wood, self.wood_triangle_count),
-            filter: choice("filter", &self.filter, &filters)?,
+            filter: filter_from(&self.filter)?,
         })
     }
 }

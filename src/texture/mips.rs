@@ -63,6 +63,19 @@ pub fn levels(base: Image, keep: Keep, check: &Check<'_>) -> Result<Vec<Image>, 
     Ok(levels)
 }
 
+/// By which share of the base's a level's coverage may be off, if it is to be drawn alone.
+const MAX_MISS_SHARE: f64 = 0.1;
+
+/// Gives up the levels of one alpha-tested picture from the first on whose texels are too few to have
+/// its coverage: one texel is there or is not, and so would be all that it stands for.
+pub fn drop_levels_without_coverage(levels: &mut Vec<Image>, cutoff: f32) {
+    let coverage = |level: &Image| Alphas::of(&LinearImage::decoded(level)).coverage(1.0, cutoff);
+    let wanted = coverage(&levels[0]);
+    let holds = |level: &Image| (coverage(level) - wanted).abs() <= MAX_MISS_SHARE * wanted;
+    let kept = levels.iter().position(|level| !holds(level)).unwrap_or(levels.len());
+    levels.truncate(kept);
+}
+
 /// The alphas of a level, row by row.
 struct Alphas {
     values: Vec<f32>,
@@ -213,6 +226,24 @@ mod tests {
             // 8-bit storage moves what is near the cutoff; 16 texels are few to choose from
             assert!((found - wanted).abs() < 0.02, "level {level}: {found} for {wanted}");
             assert!(coverage(&mean[level]) < 0.6 * found, "level {level}: the mean is lower");
+        }
+    }
+
+    #[test]
+    fn levels_that_are_too_small_to_have_the_coverage_are_dropped() {
+        let base = noise();
+        let wanted = coverage(&base);
+        let mut kept = levels(base, Keep::Coverage { cutoff: 0.5 });
+        assert_eq!(coverage(&kept[6]), 0.0, "one texel, which is not there");
+        drop_levels_without_coverage(&mut kept, 0.5);
+        assert!((3..6).contains(&kept.len()), "{} levels", kept.len());
+        for level in &kept {
+            assert!((coverage(level) / wanted - 1.0).abs() <= MAX_MISS_SHARE, "all that are left");
+        }
+        for value in [0, 255] {
+            let mut all = levels(alphas(4, &[value; 16]), Keep::Coverage { cutoff: 0.5 });
+            drop_levels_without_coverage(&mut all, 0.5);
+            assert_eq!(all.len(), 3, "full and empty cards keep theirs");
         }
     }
 

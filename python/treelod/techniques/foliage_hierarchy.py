@@ -18,7 +18,7 @@ from treelod.criteria import criterion_from
 from treelod.errors import StoreError
 from treelod.files import atomic_write
 from treelod.render import camera_facts, thread_count
-from treelod.techniques.technique import Technique, flag, number, whole, wood_facts
+from treelod.techniques.technique import Technique, flag, number, text, whole, wood_facts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -81,8 +81,10 @@ class FoliageHierarchy(Technique):
     structure_bytes, side_bytes : int
         Bytes of nodes (7 words each) and their vertices (3 words each), and of everything else kept
         for each node: balls, costs, areas, scales and texture corners.
-    wood_levels : list of (int, float)
-        Triangles of each level of the wood, the finest first, and its error in metres.
+    wood_triangle_counts : list of int
+        Triangles of each level of the wood, the finest first.
+    wood_errors : list of float
+        Error of each level of the wood in metres: 0 for the finest.
     """
 
     name: ClassVar[str] = "foliage_hierarchy"
@@ -101,7 +103,8 @@ class FoliageHierarchy(Technique):
         self.leaf_count: int = hierarchy.leaf_count
         self.root_count: int = hierarchy.root_count
         self.structure_bytes, self.side_bytes = hierarchy.forest_bytes
-        self.wood_levels: list[tuple[int, float]] = hierarchy.wood_levels
+        self.wood_triangle_counts = [count for count, _ in hierarchy.wood_levels]
+        self.wood_errors = [error for _, error in hierarchy.wood_levels]
 
     @property
     def forest(self) -> LeafForest:
@@ -298,7 +301,7 @@ class FoliageHierarchy(Technique):
         filter : {'nearest', 'bilinear', 'trilinear'}, default 'bilinear'
             How textures are read; see `FullMesh.build`. Trilinear flickers less at few samples a
             pixel, but the mips of leaves that are cut out lose their outline: a crown then covers
-            up to a fifth less, or a third more, than the full mesh.
+            up to a sixth less than the full mesh.
         wood : bool, default True
             Whether trunk and limbs are drawn.
         wood_triangle_count : int, optional
@@ -495,7 +498,7 @@ BUILT_WITH = (
 
 
 def _digest(plant: Plant) -> bytes:
-    """Return 32 bytes that name a plant's foliage, without its light."""
+    """Return 32 bytes that name a plant's foliage with its outlines, without colours and light."""
     foliage = plant.foliage
     digest = hashlib.sha256()
     arrays = (
@@ -508,6 +511,11 @@ def _digest(plant: Plant) -> bytes:
     for array in arrays:
         digest.update(f"{array.dtype.str} {array.shape}".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
+    for material in plant.materials:
+        digest.update(f"{material.alpha_mode} {material.alpha_cutoff}".encode())
+        if material.texture is not None and material.alpha_mode != "opaque":
+            alpha = np.ascontiguousarray(material.texture[..., 3])
+            digest.update(f"{alpha.shape}".encode() + alpha.tobytes())
     return digest.digest()
 
 
@@ -529,9 +537,16 @@ def _note(note: bytes) -> dict[str, Any]:
         facts = json.loads(note)
     except ValueError:
         facts = None
-    if isinstance(facts, dict):
-        fits = [isinstance(facts.get(name, facts), kind) for name, kind in kinds.items()]
-        if facts.keys() == kinds.keys() and all(fits) and facts["cost_count"] in range(2**64):
+    if isinstance(facts, dict) and facts.keys() == kinds.keys():
+        fits = [
+            isinstance(facts[name], kind)
+            and (kind == (bool,) or not isinstance(facts[name], bool))
+            and (not isinstance(facts[name], int | float) or 0 <= facts[name] < 2**63)
+            for name, kind in kinds.items()
+        ]
+        named = facts["distance"] in ("centre", "hausdorff")
+        named &= facts["choice"] in ("balanced", "paper")
+        if all(fits) and named and facts["target_leaf_count"] > 0:
             return facts
     msg = "stored foliage: it does not say what it was built with"
     raise StoreError(msg)
@@ -547,7 +562,7 @@ def _drawn(
 ) -> dict[str, Any]:
     """Return how it is drawn, as the core takes it."""
     return {
-        "filter": filter,
+        "filter": text("filter", filter),
         **wood_facts(wood=wood, wood_triangle_count=wood_triangle_count),
         "wood_levels": flag("wood_levels", wood_levels),
         "wood_error_px": number("wood_error_px", wood_error_px),
@@ -588,5 +603,5 @@ def _selection(
         "leaf_count": None if leaf_count is None else whole("leaf_count", leaf_count, 0),
         "quad_px": None if quad_px is None else number("quad_px", quad_px),
         "criterion": None if criterion is None else criterion_from(criterion),
-        "rule": rule,
+        "rule": text("rule", rule),
     }

@@ -23,6 +23,7 @@ __all__ = [
     "flag",
     "number",
     "resolution_texels",
+    "text",
     "whole",
     "wood_facts",
 ]
@@ -221,6 +222,32 @@ def number(name: str, value: float) -> float:
     except (TypeError, ValueError):
         msg = f"{name} must be a number, got {value!r}"
         raise TypeError(msg) from None
+
+
+def text(name: str, value: object) -> str:
+    """
+    Return a name as the core takes it, which knows the names.
+
+    Parameters
+    ----------
+    name : str
+        The argument, for the message.
+    value : object
+        A str.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    TypeError
+        If it is anything else.
+    """
+    if not isinstance(value, str):
+        msg = f"{name} must be a str, got {value!r}"
+        raise TypeError(msg)
+    return value
 
 
 def flag(name: str, value: object) -> bool:

@@ -27,6 +27,13 @@ use crate::lod::foliage_hierarchy::quad::measure;
 /// Leaves of one crown: nodes and their corners must be counted by 32 bits.
 pub const MAX_LEAF_COUNT: u64 = 1 << 29;
 
+/// Least and largest `d_ref` in metres: squares and quotients of it stay finite and above 0.
+const MIN_D_REF: f64 = 1e-100;
+const MAX_D_REF: f64 = 1e100;
+
+/// A sliver is scaled by no more than this, so that what is drawn stays finite.
+const MAX_SCALE: f64 = 1e6;
+
 /// How leaves collapse, and when to stop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CollapseParams {
@@ -34,7 +41,7 @@ pub struct CollapseParams {
     pub distance: Distance,
     /// Of the planarity term, at least 0.
     pub weight: f64,
-    /// Metres, above 0; the side of a square of the mean leaf's area if not given.
+    /// Metres, in [1e-100, 1e100]; the side of a square of the mean leaf's area if not given.
     pub d_ref: Option<f64>,
     /// Which corners a new leaf takes.
     pub choice: Choice,
@@ -105,8 +112,10 @@ pub fn collapse(
     let found = job.collect(leaf_count, |leaf| {
         let leaf = u32::try_from(leaf).expect("checked");
         job.advance();
-        work.search(&tree, leaf, limit)
+        // a search among many leaves at one place takes long: between two looks of `collect`, too
+        if job.check().is_err() { (None, 0) } else { work.search(&tree, leaf, limit) }
     })?;
+    job.check()?;
     let mut cost_count = found.iter().map(|(_, count)| count).sum();
     let entries = found.iter().zip(active);
     let mut heap: BinaryHeap<Reverse<Entry>> = entries
@@ -145,6 +154,8 @@ pub fn collapse(
         search(&tree, &work, node);
         job.advance();
     }
+    // what `max_cost` left undone
+    job.advance_by(steps - work.forest.costs.len());
     Ok(Collapsed { forest: work.forest, rule: work.rule, cost_count })
 }
 
@@ -184,8 +195,8 @@ impl Work {
             return out_of_range("target_leaf_count", 0.0, "1 and above");
         }
         let d_ref = match params.d_ref {
-            Some(d_ref) if d_ref > 0.0 && d_ref.is_finite() => d_ref,
-            Some(d_ref) => return out_of_range("d_ref", d_ref, "(0, inf)"),
+            Some(d_ref) if (MIN_D_REF..=MAX_D_REF).contains(&d_ref) => d_ref,
+            Some(d_ref) => return out_of_range("d_ref", d_ref, "[1e-100, 1e100]"),
             None => mean_side(areas),
         };
         let rule = CostRule { distance: params.distance, weight: params.weight, d_ref };
@@ -263,7 +274,8 @@ impl Work {
         let own_area = measure(&quad).area;
         let is_scaled = self.keep_area && own_area > 0.0 && area > 0.0;
         #[expect(clippy::cast_possible_truncation, reason = "scales are stored in f32")]
-        forest.scales.push(if is_scaled { (area / own_area).sqrt() as f32 } else { 1.0 });
+        let scale = if is_scaled { (area / own_area).sqrt().min(MAX_SCALE) as f32 } else { 1.0 };
+        forest.scales.push(scale);
         let source = forest.corners[children[larger] as usize];
         let turn = (source.turn + turn_between(&quad, &quads[larger])) % 4;
         forest.corners.push(TextureCorners { turn, ..source });
@@ -305,7 +317,10 @@ fn turn_between(quad: &[DVec3; 4], other: &[DVec3; 4]) -> u32 {
 /// Side of a square of the mean area; 1 if there is no area.
 fn mean_side(areas: &[f64]) -> f64 {
     let total: f64 = areas.iter().sum();
-    if total > 0.0 { (total / areas.len() as f64).sqrt() } else { 1.0 }
+    if total <= 0.0 {
+        return 1.0;
+    }
+    (total / areas.len() as f64).sqrt().clamp(MIN_D_REF, MAX_D_REF)
 }
 
 #[cfg(test)]

@@ -84,28 +84,35 @@ pub(super) fn keep_coverage(
         let next = ((count as f64 * LEVEL_SHARE) as usize).max(forest.root_count());
         let band = Band { leaf_count, from: count, to: next, start: log_scale };
         let active = band.active(forest);
-        let mut tried: Option<(f64, f64)> = None;
-        let mut end = log_scale;
+        let mut trial = log_scale;
+        // scale and what is missing with it, of the last trial and of the best one
+        let mut last: Option<(f64, f64)> = None;
+        let mut best = (log_scale, f64::INFINITY);
         let mut exponent = FIRST_EXPONENT;
         for _ in 0..MAX_TRIALS {
-            band.apply(forest, &own_scales, end);
+            band.apply(forest, &own_scales, trial);
             let found =
                 painter.mean(job, |view| list_of(forest, &active, vertices, &materials, view))?;
-            let missing = (target / found.max(f64::MIN_POSITIVE)).ln();
+            let missing = libm::log(target / found.max(f64::MIN_POSITIVE));
+            if missing.abs() < best.1.abs() {
+                best = (trial, missing);
+            }
             if missing.abs() < NEAR_ENOUGH {
                 break;
             }
-            if let Some((scale, before)) = tried
-                && (end - scale).abs() > 1e-6
+            if let Some((scale, before)) = last
+                && (trial - scale).abs() > 1e-6
             {
-                let slope = (before - missing) / (end - scale);
+                let slope = (before - missing) / (trial - scale);
                 if slope > 0.1 {
                     exponent = slope;
                 }
             }
-            tried = Some((end, missing));
-            end = (end + missing / exponent).clamp(SCALES[0].ln(), SCALES[1].ln());
+            last = Some((trial, missing));
+            let [low, high] = SCALES.map(libm::log);
+            trial = (trial + missing / exponent).clamp(low, high);
         }
+        let end = best.0;
         band.apply(forest, &own_scales, end);
         (count, log_scale) = (next, end);
     }
@@ -141,11 +148,11 @@ impl Band {
 
     /// Scales its nodes, up to a factor whose logarithm is `end`.
     fn apply(&self, forest: &mut Forest, own_scales: &[f32], end: f64) {
-        let span = (self.from as f64 / self.to as f64).ln();
+        let span = libm::log(self.from as f64 / self.to as f64);
         for left in self.to..self.from {
             // the collapse that left so many quads
             let node = 2 * self.leaf_count - left - 1;
-            let share = (self.from as f64 / left as f64).ln() / span;
+            let share = libm::log(self.from as f64 / left as f64) / span;
             let factor = libm::exp(self.start + (end - self.start) * share);
             #[expect(clippy::cast_possible_truncation, reason = "scales are stored in f32")]
             let scale = (f64::from(own_scales[node]) * factor) as f32;

@@ -13,10 +13,9 @@ use crate::job::{ELEMENTS_PER_CHECK, Job};
 use crate::lod::foliage_hierarchy::forest::Forest;
 use crate::lod::foliage_hierarchy::leaf_quads::LeafQuad;
 use crate::lod::foliage_hierarchy::quad::measure;
-use crate::lod::solid::{blend_of, ready_to_draw, surface_of, textures_of};
+use crate::lod::solid::{blend_of, surface_of, textures_of};
 use crate::lod::{Crown, ListBuilder, NamedTexture};
 use crate::plant::Material;
-use crate::texture::Filter;
 use crate::view::View;
 
 /// Corners of a quad's two triangles.
@@ -40,14 +39,13 @@ pub(super) struct NodeVertices {
 impl NodeVertices {
     /// Vertices of all nodes of a forest that was made of `quads`.
     ///
-    /// `first_id` is the id of the foliage's first triangle; leaf `i` has `triangle_counts[i]` of them.
+    /// `materials` are ready to be drawn. `first_id` is the id of the foliage's first triangle; leaf `i` has `triangle_counts[i]` of them.
     pub(super) fn new(
         forest: &Forest,
         quads: &[LeafQuad],
         triangle_counts: impl Iterator<Item = u32>,
         first_id: u32,
-        materials: &[Material],
-        filter: Filter,
+        materials: Vec<Material>,
         job: &Job,
     ) -> Result<Self, LodError> {
         let count = forest.nodes.len() * 4;
@@ -97,7 +95,7 @@ impl NodeVertices {
         let ids = quads.iter().zip(triangle_counts);
         Ok(Self {
             buffers,
-            materials: ready_to_draw(materials, filter),
+            materials,
             leaf_materials,
             paint_order,
             leaf_ids: ids.map(|(quad, count)| [first_id + quad.triangle, count.min(2)]).collect(),

@@ -37,6 +37,9 @@ pub type Digest = [u8; 32];
 /// Longest note.
 pub const MAX_NOTE_BYTES: usize = 1 << 16;
 
+/// By which share of its radius, and of its place, what a node draws may lie beyond its ball: rounding.
+const BALL_SLACK: f64 = 1e-5;
+
 const HEADER_BYTES: usize = 8 + 3 * 4 + 32 + 4;
 const CHECKSUM_BYTES: usize = 4;
 const LEAF_BYTES: u64 = 4 * 3 * 4;
@@ -238,7 +241,13 @@ fn check(forest: &Forest) -> Result<(), LodError> {
     let links = (0..forest.nodes.len()).find(|&node| !is_linked(forest, node));
     row("node", links, "is not linked to its parent and children")?;
     let vertices = (0..forest.nodes.len()).find(|&node| !has_corners(forest, node));
-    row("node", vertices, "does not stand on corners of its own, or on two of each child")
+    row("node", vertices, "does not stand on corners of its own, or on two of each child")?;
+    let drawn = (0_u32..).zip(&forest.spheres).position(|(node, ball)| {
+        let (center, radius) = (ball.center.as_dvec3(), f64::from(ball.radius));
+        let outside = radius * (1.0 + BALL_SLACK) + center.abs().max_element() * BALL_SLACK;
+        !forest.drawn_quad(node).iter().all(|corner| corner.distance(center) <= outside)
+    });
+    row("node", drawn, "is drawn beyond its ball")
 }
 
 /// Whether a node's parent has it for a child, its children have it for a parent and come before it,

@@ -93,7 +93,8 @@ fn leaves_in_two_planes_are_two_cards_that_look_alike() {
         assert!(lod.errors()[0] < 1e-6, "nothing is moved: {}", lod.errors()[0]);
         let ids = lod.cluster_ids(0);
         assert!(ids[0] == ids[1] && ids[2] == ids[3] && ids[0] != ids[2], "{ids:?}");
-        let full = FullMesh::build(&crown, Wood::Full, Filter::Bilinear).expect("leaves");
+        let full =
+            FullMesh::build(&crown, Wood::Full, Filter::Bilinear, &Job::default()).expect("leaves");
         for toward in [DVec3::new(0.5, 0.2, 1.0), DVec3::new(-1.0, 0.3, -0.7)] {
             let view = perspective(toward * 8.0, DVec3::new(1.0, 1.0, -0.5), DVec3::Y);
             let (card, mesh) = (draw(&lod, &view), draw(&full, &view));
@@ -161,7 +162,8 @@ fn turned_leaves_keep_their_area_and_projected_ones_do_not() {
         .map(|i| facing(f32::from(i % 4) * 2.0 - 6.0, f32::from(i / 4) * 3.0 + 1.5, 0.0, 0.5));
     let crown = plant(&flat.chain([leaning]).collect::<Vec<_>>());
     let view = parallel(DVec3::Z, DVec3::Y, 20.0, 256);
-    let full = FullMesh::build(&crown, Wood::Full, Filter::Bilinear).expect("leaves");
+    let full =
+        FullMesh::build(&crown, Wood::Full, Filter::Bilinear, &Job::default()).expect("leaves");
     let seen = |flatten| {
         // the plane is given, so that it is level to the bit
         let plane = Plane { normal: DVec3::Z, d: 0.0 };
@@ -444,7 +446,8 @@ fn an_indirect_leaf_lies_where_the_leaf_does() {
     let fine =
         Indirect { rotation_count: 128, leaf_resolution: 64, texels_per_leaf: 8, ..INDIRECT };
     let lod = build(&crown, &Params { indirect: Some(fine), ..params(&[1], 8) });
-    let full = FullMesh::build(&crown, Wood::Full, Filter::Bilinear).expect("leaves");
+    let full =
+        FullMesh::build(&crown, Wood::Full, Filter::Bilinear, &Job::default()).expect("leaves");
     for toward in [DVec3::Z, DVec3::NEG_Z] {
         let view = View {
             eye: DVec3::new(2.0, 2.0, 0.0) + toward * 9.0,

@@ -231,7 +231,8 @@ fn large_leaves_in_the_mesh_are_drawn_there_and_nowhere_else() {
         emit(&lod, &parallel(DVec3::Z, DVec3::Y, 8.0, 8), &[crown_at(DAffine3::IDENTITY, 0)]);
     assert_eq!(list.geometries[0].buffers().source_ids, [0, 1, 4, 5], "ids of the plant");
     // nothing is lost: from an axis the same samples are covered as by the full mesh
-    let full = FullMesh::build(&crown, Wood::Full, Filter::Bilinear).expect("valid");
+    let full =
+        FullMesh::build(&crown, Wood::Full, Filter::Bilinear, &Job::default()).expect("valid");
     let view = parallel(DVec3::X, DVec3::Y, 8.0, 64);
     let alpha = |lod: &dyn Representation| -> f64 {
         draw(lod, &view).color.iter().map(|pixel| f64::from(pixel.w)).sum::<f64>() / (64.0 * 64.0)
@@ -547,7 +548,8 @@ fn what_has_area_is_seen_from_its_axis() {
             let frame = draw(lod, &view);
             frame.color.iter().map(|pixel| f64::from(pixel.w)).sum::<f64>() / (48.0 * 48.0)
         };
-        let full = FullMesh::build(&plant(&leaves), Wood::Full, Filter::Bilinear).expect("leaves");
+        let full = FullMesh::build(&plant(&leaves), Wood::Full, Filter::Bilinear, &Job::default())
+            .expect("leaves");
         let (sliced, wanted) = (mean(&lod), mean(&full));
         // texels of 1/32 of the crown's width smear its outline by half a texel on each side
         assert!((sliced - wanted).abs() <= 0.012, "{name}: {sliced} for {wanted}");

@@ -267,7 +267,10 @@ fn bad_parameters_are_named() {
     let params = PARAMS;
     assert!(refused(CollapseParams { weight: -1.0, ..params }).starts_with("weight"), "sign");
     assert!(refused(CollapseParams { weight: f64::NAN, ..params }).starts_with("weight"), "NaN");
-    assert!(refused(CollapseParams { d_ref: Some(0.0), ..params }).starts_with("d_ref"), "0");
+    for d_ref in [0.0, 1e-101, f64::INFINITY, f64::NAN] {
+        let refusal = refused(CollapseParams { d_ref: Some(d_ref), ..params });
+        assert!(refusal.starts_with("d_ref"), "{d_ref}");
+    }
     assert!(
         refused(CollapseParams { max_cost: f64::NAN, ..params }).starts_with("max_cost"),
         "NaN"

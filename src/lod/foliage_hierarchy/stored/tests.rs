@@ -132,7 +132,8 @@ fn what_does_not_hold_is_named() {
         refusal(&write(&forest, &PLANT, NOTE))
     };
     type Change = fn(&mut Forest);
-    let cases: [(Change, &str); 17] = [
+    let cases: [(Change, &str); 18] = [
+        (|f| f.scales[4] = 3e38, "node 4 is drawn beyond its ball"),
         (|f| f.positions[5].y = f32::NAN, "position 5 is not finite"),
         (|f| f.spheres[1].radius = -1.0, "ball 1 is none"),
         (|f| f.spheres[2].center.z = f32::INFINITY, "ball 2 is none"),
