@@ -31,6 +31,7 @@ from treelod.techniques import (
     FoliageHierarchy,
     FullMesh,
     LeafClusters,
+    PointsAndLines,
     SimplifiedMesh,
     Slicings,
 )
@@ -58,6 +59,7 @@ __all__ = [
     "PlaneMisses",
     "Plant",
     "PlantFileError",
+    "PointsAndLines",
     "Scene",
     "SimplifiedMesh",
     "Slicings",

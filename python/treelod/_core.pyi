@@ -8,6 +8,7 @@ __all__ = [
     "FoliageHierarchy",
     "LeafClusters",
     "Plant",
+    "PointsAndLines",
     "Renderer",
     "Representation",
     "Scene",
@@ -27,6 +28,7 @@ __all__ = [
     "leaf_clusters",
     "peak_rate",
     "plane_misses",
+    "points_and_lines",
     "preset_names",
     "simplified_mesh",
     "slicings",
@@ -247,6 +249,28 @@ def leaf_clusters(
     threads: int | None,
     progress: Callable[[int, int], object] | None,
 ) -> LeafClusters: ...
+
+@final
+class PointsAndLines:
+    def representation(self) -> Representation: ...
+    def drawn(self, facts: dict[str, Any], *, threads: int | None) -> PointsAndLines: ...
+    @property
+    def parts(self) -> list[dict[str, Any]]: ...
+    @property
+    def groups(self) -> list[dict[str, Any]]: ...
+    def selection(self, camera: _CameraFacts) -> list[dict[str, Any]]: ...
+    @property
+    def factors(self) -> list[float]: ...
+    @property
+    def bytes(self) -> list[int]: ...
+
+def points_and_lines(
+    plant: Plant,
+    facts: dict[str, Any],
+    *,
+    threads: int | None,
+    progress: Callable[[int, int], object] | None,
+) -> PointsAndLines: ...
 def cluster_leaves(
     centers: _F32,
     normals: _F32,

@@ -2,9 +2,11 @@
 //!
 //! No technique knows another, and nothing outside this folder knows any.
 
+pub mod eigen;
 pub mod foliage_hierarchy;
 pub mod full_mesh;
 pub mod leaf_clusters;
+pub mod points_and_lines;
 pub mod simplified_mesh;
 pub mod slicings;
 

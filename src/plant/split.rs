@@ -318,7 +318,8 @@ fn pieces<'a>(
     Ok(Pieces { groups, group_of, offsets, triangles })
 }
 
-fn find(parents: &mut [u32], mut node: u32) -> u32 {
+/// The root of a node; paths get shorter on the way.
+pub(crate) fn find(parents: &mut [u32], mut node: u32) -> u32 {
     while parents[node as usize] != node {
         let grandparent = parents[parents[node as usize] as usize];
         parents[node as usize] = grandparent;
@@ -328,7 +329,7 @@ fn find(parents: &mut [u32], mut node: u32) -> u32 {
 }
 
 /// The lower index becomes the root, so that roots do not depend on the order of unions.
-fn unite(parents: &mut [u32], a: u32, b: u32) {
+pub(crate) fn unite(parents: &mut [u32], a: u32, b: u32) {
     let (a, b) = (find(parents, a), find(parents, b));
     parents[a.max(b) as usize] = a.min(b);
 }

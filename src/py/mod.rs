@@ -14,6 +14,7 @@ mod leaf_clusters;
 mod lod;
 mod plant;
 mod png;
+mod points_and_lines;
 mod render;
 mod run;
 mod simplified_mesh;
@@ -102,6 +103,8 @@ mod _core {
     use super::plant::{Plant, smooth_normals, split_plant};
     #[pymodule_export]
     use super::png::encode_png;
+    #[pymodule_export]
+    use super::points_and_lines::{PointsAndLines, points_and_lines};
     #[pymodule_export]
     use super::render::{Renderer, Scene, peak_rate, time_naive};
     #[pymodule_export]

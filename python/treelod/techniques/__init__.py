@@ -3,6 +3,7 @@
 from treelod.techniques.foliage_hierarchy import FoliageHierarchy
 from treelod.techniques.full_mesh import FullMesh
 from treelod.techniques.leaf_clusters import LeafClusters
+from treelod.techniques.points_and_lines import PointsAndLines
 from treelod.techniques.simplified_mesh import SimplifiedMesh
 from treelod.techniques.slicings import Slicings
 from treelod.techniques.technique import BakedTexture, Footprint, Technique
@@ -14,6 +15,7 @@ __all__ = [
     "Footprint",
     "FullMesh",
     "LeafClusters",
+    "PointsAndLines",
     "SimplifiedMesh",
     "Slicings",
     "Technique",
@@ -21,6 +23,13 @@ __all__ = [
 
 REGISTRY: dict[str, type[Technique]] = {
     technique.name: technique
-    for technique in (FullMesh, Slicings, LeafClusters, FoliageHierarchy, SimplifiedMesh)
+    for technique in (
+        FullMesh,
+        Slicings,
+        LeafClusters,
+        FoliageHierarchy,
+        SimplifiedMesh,
+        PointsAndLines,
+    )
 }
 """Techniques by the name that tables, command lines and sweeps use."""
