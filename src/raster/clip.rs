@@ -57,11 +57,11 @@ impl ClipSpace {
             if at_a < 0.0 && at_b < 0.0 {
                 return None;
             }
-            let cut = a + (b - a) * (at_a / (at_a - at_b));
+            let cut = || a + (b - a) * (at_a / (at_a - at_b));
             if at_a < 0.0 {
-                a = cut;
+                a = cut();
             } else if at_b < 0.0 {
-                b = cut;
+                b = cut();
             }
         }
         Some([self.project(a), self.project(b)])

@@ -113,12 +113,8 @@ impl Lanes {
         for lane in 0..LANE_COUNT {
             let at_x = x * SUBPIXEL_COUNT + self.steps[block][0][lane];
             let at_y = y * SUBPIXEL_COUNT + self.steps[block][1][lane];
-            let inside = if shape.tag.has(flags::RECT) {
-                contains(shape, at_x, at_y)
-            } else {
-                let mut edges = edges.iter().enumerate();
-                edges.all(|(from, edge)| edge.exact(shape, from, at_x, at_y) >= 0)
-            };
+            let mut edges = edges.iter().enumerate();
+            let inside = edges.all(|(from, edge)| edge.exact(shape, from, at_x, at_y) >= 0);
             bits |= u64::from(inside && x + self.columns[lane] <= x1) << lane;
         }
         bits
@@ -187,7 +183,11 @@ pub(crate) fn covered<S: Simd, const BLOCKS: usize, const ALL: bool>(
         [Edge::new(shape, 0, x0, y0), Edge::new(shape, 1, x0, y0), Edge::new(shape, 2, x0, y0)];
     let row_length = side.wrapping_mul(lanes.sample_count);
     let vector_length = BLOCKS.wrapping_mul(LANE_COUNT);
-    if shape.tag.has(flags::RECT | flags::WIDE) {
+    if shape.tag.has(flags::RECT) {
+        covered_rect::<S, BLOCKS, ALL>(simd, lanes, shape, pixels, side, visit);
+        return;
+    }
+    if shape.tag.has(flags::WIDE) {
         let tested = Edge::leave_out_uncrossed(&mut edges, shape, pixels);
         if tested == Tested::Nothing {
             return;
@@ -281,6 +281,67 @@ pub(crate) fn covered<S: Simd, const BLOCKS: usize, const ALL: bool>(
     }
 }
 
+/// [`covered`] for an axis-aligned rectangle, which needs no edges.
+#[inline(always)]
+fn covered_rect<S: Simd, const BLOCKS: usize, const ALL: bool>(
+    simd: S,
+    lanes: &Lanes,
+    shape: &Shape,
+    [x0, y0, x1, y1]: PixelBox,
+    side: usize,
+    mut visit: impl FnMut(Covered<S>),
+) {
+    let columns = i32x8::simd_from(simd, lanes.columns);
+    let steps = |block: usize, axis: usize| lanes.steps(simd, block, axis);
+    let row_length = side.wrapping_mul(lanes.sample_count);
+    let vector_length = BLOCKS.wrapping_mul(LANE_COUNT);
+    // a mask for each block of the columns' vector at x; vectors may reach beyond the box
+    let within_columns = |block: usize, x: i32| {
+        let first = x.wrapping_mul(SUBPIXEL_COUNT);
+        let at = steps(block, 0);
+        at.simd_ge(shape.x[0].wrapping_sub(first))
+            & at.simd_le(shape.x[1].wrapping_sub(first))
+            & columns.simd_le(x1.wrapping_sub(x))
+    };
+    let mut first_columns = [mask32x8::splat(simd, false); BLOCKS];
+    for (block, mask) in first_columns.iter_mut().enumerate() {
+        *mask = within_columns(block, x0);
+    }
+    let is_narrow = x1.wrapping_sub(x0) < lanes.column_count;
+    let (mut y, mut row_at) = (y0, 0_usize);
+    while y <= y1 {
+        let first = y.wrapping_mul(SUBPIXEL_COUNT);
+        let (low, high) = (shape.y[0].wrapping_sub(first), shape.y[1].wrapping_sub(first));
+        let mut in_rows = [mask32x8::splat(simd, false); BLOCKS];
+        for (block, mask) in in_rows.iter_mut().enumerate() {
+            let at = steps(block, 1);
+            *mask = at.simd_ge(low) & at.simd_le(high);
+        }
+        let mut in_columns = first_columns;
+        let (mut x, mut at) = (x0, row_at);
+        loop {
+            for block in 0..BLOCKS {
+                let inside = in_rows[block] & in_columns[block];
+                let bits = inside.to_bitmask();
+                if ALL || bits != 0 {
+                    let at = at.wrapping_add(block.wrapping_mul(LANE_COUNT));
+                    visit(Covered { x, y, block, at, inside, bits });
+                }
+            }
+            x = x.wrapping_add(lanes.column_count);
+            if is_narrow || x > x1 {
+                break;
+            }
+            at = at.wrapping_add(vector_length);
+            for (block, mask) in in_columns.iter_mut().enumerate() {
+                *mask = within_columns(block, x);
+            }
+        }
+        y = y.wrapping_add(1);
+        row_at = row_at.wrapping_add(row_length);
+    }
+}
+
 /// How a shape's samples are found.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Tested {
@@ -288,7 +349,7 @@ enum Tested {
     Nothing,
     /// Eight at a time, in i32.
     Vectors,
-    /// One by one: a rectangle, or in i64.
+    /// One by one, in i64.
     Singly,
 }
 
@@ -345,9 +406,6 @@ impl Edge {
         shape: &Shape,
         [x0, y0, x1, y1]: PixelBox,
     ) -> Tested {
-        if shape.tag.has(flags::RECT) {
-            return Tested::Singly;
-        }
         // a vector may reach seven pixels beyond the box
         let width = i64::from(x1 - x0 + 8) * i64::from(SUBPIXEL_COUNT);
         let height = i64::from(y1 - y0 + 1) * i64::from(SUBPIXEL_COUNT);
@@ -366,9 +424,4 @@ impl Edge {
         }
         tested
     }
-}
-
-/// Whether a point in steps lies in the axis-aligned rectangle `x[0]..=x[1]` by `y[0]..=y[1]`.
-fn contains(shape: &Shape, x: i32, y: i32) -> bool {
-    (shape.x[0]..=shape.x[1]).contains(&x) && (shape.y[0]..=shape.y[1]).contains(&y)
 }

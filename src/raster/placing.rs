@@ -1,7 +1,7 @@
 //! From an instance's local coordinates to the picture.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{f32x8, i32x8};
+use fearless_simd::{f32x8, i32x8, mask32x8};
 use glam::{DMat3, Mat3, Vec3};
 
 use crate::raster::clip::ClipSpace;
@@ -85,6 +85,46 @@ impl Placing {
         level.run(Place { placing: self, vertices, placed });
     }
 
+    /// Pixels and depth key of eight points, and which of them are in front and not too far out.
+    #[inline(always)]
+    pub(crate) fn lanes<S: Simd>(
+        &self,
+        simd: S,
+        local: [f32x8<S>; 3],
+    ) -> ([f32x8<S>; 3], mask32x8<S>) {
+        let (x, y) = (self.row(0, local), self.row(1, local));
+        let z = self.row(2, local);
+        let (x, y, key) = if self.perspective {
+            let inverse = 1.0 / z;
+            (x * inverse + self.center[0], y * inverse + self.center[1], inverse)
+        } else {
+            (x + self.center[0], y + self.center[1], -z)
+        };
+        let guard = f32x8::splat(simd, GUARD_PX);
+        let in_front = z.simd_ge(f32x8::splat(simd, self.near));
+        ([x, y, key], in_front & x.abs().simd_le(guard) & y.abs().simd_le(guard))
+    }
+
+    /// As [`Self::side_seen`], by lanes: where the back is seen.
+    #[inline(always)]
+    pub(crate) fn backs_seen<S: Simd>(
+        &self,
+        simd: S,
+        position: [f32x8<S>; 3],
+        normal: [f32x8<S>; 3],
+    ) -> mask32x8<S> {
+        let turned = times(&self.normals, normal);
+        let to_eye = if self.perspective {
+            let [x, y, z] = times(&self.linear, position);
+            let Vec3 { x: a, y: b, z: c } = self.translation;
+            [-(x + a), -(y + b), -(z + c)]
+        } else {
+            self.back.to_array().map(|axis| f32x8::splat(simd, axis))
+        };
+        let dot = turned[0] * to_eye[0] + turned[1] * to_eye[1] + turned[2] * to_eye[2];
+        dot.simd_lt(f32x8::splat(simd, 0.0))
+    }
+
     #[inline(always)]
     fn row<S: Simd>(&self, row: usize, [x, y, z]: [f32x8<S>; 3]) -> f32x8<S> {
         let Vec3 { x: a, y: b, z: c } = self.rows[row];
@@ -159,17 +199,7 @@ impl Kernel for Place<'_> {
             let y = f32x8::simd_from(simd, y);
             let z = f32x8::simd_from(simd, z);
             let local = [x, y, z];
-            let (x, y) = (placing.row(0, local), placing.row(1, local));
-            let z = placing.row(2, local);
-            let (x, y, key) = if placing.perspective {
-                let inverse = 1.0 / z;
-                (x * inverse + placing.center[0], y * inverse + placing.center[1], inverse)
-            } else {
-                (x + placing.center[0], y + placing.center[1], -z)
-            };
-            let guard = f32x8::splat(simd, GUARD_PX);
-            let in_front = z.simd_ge(f32x8::splat(simd, placing.near));
-            let inside = in_front & x.abs().simd_le(guard) & y.abs().simd_le(guard);
+            let ([x, y, key], inside) = placing.lanes(simd, local);
             let key: [f32; LANE_COUNT] = inside.select(key, f32x8::splat(simd, f32::NAN)).into();
             let snapped_x: [i32; LANE_COUNT] = snap_lanes(x).into();
             let snapped_y: [i32; LANE_COUNT] = snap_lanes(y).into();
@@ -182,6 +212,13 @@ impl Kernel for Place<'_> {
             }
         }
     }
+}
+
+/// A matrix times eight vectors, added up as [`Mat3`] does.
+#[inline(always)]
+fn times<S: Simd>(matrix: &Mat3, [x, y, z]: [f32x8<S>; 3]) -> [f32x8<S>; 3] {
+    let Mat3 { x_axis: a, y_axis: b, z_axis: c } = *matrix;
+    [x * a.x + y * b.x + z * c.x, x * a.y + y * b.y + z * c.y, x * a.z + y * b.z + z * c.z]
 }
 
 /// How normals turn under a linear map: the cofactors, so that they stay upright on a surface that
@@ -200,7 +237,7 @@ pub(crate) fn snap(pixels: f32) -> i32 {
 
 /// As [`snap`] within [`GUARD_PX`]; anything beyond.
 #[inline(always)]
-fn snap_lanes<S: Simd>(pixels: f32x8<S>) -> i32x8<S> {
+pub(crate) fn snap_lanes<S: Simd>(pixels: f32x8<S>) -> i32x8<S> {
     let steps = pixels * SUBPIXEL_COUNT as f32 + 0.5;
     let toward_zero: i32x8<S> = steps.to_int();
     let float: f32x8<S> = toward_zero.to_float();

@@ -88,7 +88,7 @@ pub(crate) struct Shape {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Origin {
     /// Indices into the unit's `vertices`, in the item's order of corners; into the item's arrays
-    /// for [`flags::CLIPPED`].
+    /// for [`flags::CLIPPED`] and [`flags::RECT`].
     pub(crate) vertices: [u32; 3],
     /// Index of the primitive in the item's index buffer.
     pub(crate) primitive: u32,
@@ -146,6 +146,8 @@ impl Context<'_> {
 struct Batch {
     corners: [[u32; 3]; LANE_COUNT],
     primitives: [u32; LANE_COUNT],
+    /// The side that is seen of each, where winding does not tell.
+    sides: Option<[u32; LANE_COUNT]>,
     length: usize,
 }
 
@@ -299,6 +301,15 @@ impl Unit {
         }
     }
 
+    /// Makes the last shapes, from `first` on, show a side.
+    fn show_side(&mut self, first: usize, side: u32) {
+        let made = self.shapes[first..].iter_mut().zip(&mut self.origins[first..]);
+        for (shape, origin) in made {
+            shape.tag = Tag(shape.tag.0 & !flags::FRONT | side);
+            origin.tag = shape.tag;
+        }
+    }
+
     /// Counting sort of the shapes by tile; within a tile they keep their order.
     fn sort_into_tiles(&mut self, grid: &Grid) {
         let Self { shapes, tile_offsets, tile_shapes, .. } = self;
@@ -432,13 +443,20 @@ impl Kernel for SetUp<'_> {
             left &= left.wrapping_sub(1);
             let (vertices, primitive) = (batch.corners[lane], batch.primitives[lane]);
             if alone >> lane & 1 == 1 {
+                let first = unit.shapes.len();
                 unit.triangle_alone(context, positions, vertices, primitive);
+                if let Some(sides) = batch.sides {
+                    unit.show_side(first, sides[lane]);
+                }
                 continue;
             }
             let is_turned = turned >> lane & 1 == 1;
             // counter-clockwise as seen, since y points down
             let [b, c] = if is_turned { [2, 1] } else { [1, 2] };
-            let winding = context.placing.stored_winding() ^ (u32::from(!is_turned) * flags::FRONT);
+            let winding = match batch.sides {
+                Some(sides) => sides[lane],
+                None => context.placing.stored_winding() ^ (u32::from(!is_turned) * flags::FRONT),
+            };
             let key_range = [farthest[lane], nearest[lane]];
             let tag = context.tag.with(winding | context.plain(key_range));
             unit.shapes.push(Shape {

@@ -234,15 +234,19 @@ pub(crate) struct Planar {
 }
 
 impl Planar {
-    /// Of corners that lie on a line, or of a rectangle, the first counts alone.
+    /// The first corner everywhere: a point's.
+    const LEVEL: Self =
+        Self { origin: Vec2::ZERO, second: Vec2::ZERO, third: Vec2::ZERO, keys: [1.0; 3] };
+
+    /// Of corners that lie on a line the first counts alone.
     #[inline]
-    fn new(view: &View, corners: [&ScreenVertex; 3], is_rect: bool) -> Self {
+    fn new(view: &View, corners: [&ScreenVertex; 3]) -> Self {
         let [a, b, c] = corners.map(|c| Vec2::new(c.x, c.y));
         let (u, v) = (b - a, c - a);
         let inverse_area = 1.0 / (u.x * v.y - u.y * v.x);
         let mut second = Vec2::new(v.y, -v.x) * inverse_area;
         let mut third = Vec2::new(-u.y, u.x) * inverse_area;
-        if is_rect || !(second.is_finite() && third.is_finite()) {
+        if !(second.is_finite() && third.is_finite()) {
             (second, third) = (Vec2::ZERO, Vec2::ZERO);
         }
         let keys = if view.is_orthographic() { [1.0; 3] } else { corners.map(|c| c.key) };
@@ -294,13 +298,19 @@ impl Smooth {
         if !opaque || origin.tag.has(flags::CLIPPED) {
             return None;
         }
-        let corners = origin.vertices.map(|v| &unit.vertices[v as usize]);
         let buffers = list.vertices_of(item);
         let side = if origin.tag.has(flags::FRONT) { &buffers.front } else { &buffers.back };
         let ids = &list.indices_of(item).source_ids;
+        let color = |source: u32| side[source as usize].extend(1.0);
+        let (planar, colors) = if origin.tag.has(flags::RECT) {
+            (Planar::LEVEL, [color(origin.vertices[0]); 3])
+        } else {
+            let corners = origin.vertices.map(|v| &unit.vertices[v as usize]);
+            (Planar::new(view, corners), corners.map(|c| color(c.source)))
+        };
         Some(Self {
-            planar: Planar::new(view, corners, origin.tag.has(flags::RECT)),
-            colors: corners.map(|c| side[c.source as usize].extend(1.0)),
+            planar,
+            colors,
             tint: list.instances[segment.instance as usize].tint.with_w(1.0),
             id: ids.get(origin.primitive as usize).copied().unwrap_or(origin.primitive),
         })
@@ -318,7 +328,9 @@ impl Weigher {
     pub(crate) fn new(view: &View, material: &Material<'_>, unit: &Unit, index: usize) -> Self {
         let shape = &unit.shapes[index];
         let vertices = unit.origins[index].vertices;
-        let (sources, kind) = if shape.tag.has(flags::CLIPPED) {
+        let (sources, kind) = if shape.tag.has(flags::RECT) {
+            (vertices, Kind::Planar(Planar::LEVEL))
+        } else if shape.tag.has(flags::CLIPPED) {
             let instance = material.instance;
             let placing = Placing::new(view, instance.linear, instance.translation);
             let positions = &material.buffers.positions;
@@ -326,8 +338,7 @@ impl Weigher {
             (vertices, Kind::Clipped { space: Box::new(placing), corners })
         } else {
             let corners = vertices.map(|v| &unit.vertices[v as usize]);
-            let planar = Planar::new(view, corners, shape.tag.has(flags::RECT));
-            (corners.map(|c| c.source), Kind::Planar(planar))
+            (corners.map(|c| c.source), Kind::Planar(Planar::new(view, corners)))
         };
         let buffers = material.buffers;
         Self {
