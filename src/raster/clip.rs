@@ -47,10 +47,25 @@ impl ClipSpace {
         std::iter::once(near).chain(sides.map(|(x, y)| DVec4::new(x, y, side.0, side.1)))
     }
 
+    /// Whether a transformed point lies inside all planes.
+    fn holds(&self, p: DVec3, guard: f64) -> bool {
+        let limit = guard * 0.5;
+        let reach = if self.perspective { limit * p.z } else { limit };
+        p.z - self.near >= 0.0
+            && p.x + reach >= 0.0
+            && reach - p.x >= 0.0
+            && p.y + reach >= 0.0
+            && reach - p.y >= 0.0
+    }
+
     /// Both ends of a line as (x, y, key), cut to what is in front and within `guard` pixels; `None`
     /// if nothing is.
     pub(crate) fn line(&self, ends: [DVec3; 2], guard: f64) -> Option<[[f32; 3]; 2]> {
         let [mut a, mut b] = ends.map(|p| self.transform(p));
+        // most lines: no plane cuts them
+        if self.holds(a, guard) && self.holds(b, guard) {
+            return Some([self.project(a), self.project(b)]);
+        }
         for plane in self.planes(guard) {
             let distance = |p: DVec3| plane.truncate().dot(p) + plane.w;
             let (at_a, at_b) = (distance(a), distance(b));

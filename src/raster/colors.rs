@@ -84,6 +84,10 @@ impl<'a, 'b> Colors<'a, 'b> {
                 mask |= u32::from(other == reference) << s;
             }
             left &= !mask;
+            if let Some((color, id)) = scene.flat(reference) {
+                visit(mask, [color, Vec4::ZERO, Vec4::ZERO], id);
+                continue;
+            }
             if let Some(smooth) = self.smooth(scene, reference) {
                 let color = smooth.color(scene.centroid(x, y, mask));
                 visit(mask, [color, Vec4::ZERO, Vec4::ZERO], smooth.id);

@@ -4,9 +4,9 @@
 //! Colours are computed when a blended shape needs them, or at the end: once a pixel and shape where
 //! the shape has no texture, at the centroid of the samples it shows in; once a sample otherwise.
 
-use glam::{Vec2, Vec4};
+use glam::{Vec2, Vec3, Vec4};
 
-use crate::draw_list::{Blend, DrawList};
+use crate::draw_list::{Blend, DrawList, Primitive, Surface};
 use crate::raster::colors::{Colors, Known};
 use crate::raster::coverage::Lanes;
 use crate::raster::frame::{EMPTY_ID, Outputs};
@@ -42,6 +42,35 @@ pub(crate) struct Scene<'a, const S: usize> {
     pub(crate) layers: [bool; 3],
     /// Whether to count the pixels that shapes cover.
     pub(crate) counts_fragments: bool,
+    /// One a unit, where all its shapes are points in flat colours; empty where more than colour is
+    /// wanted.
+    flats: Vec<Option<Flat<'a>>>,
+}
+
+/// Points of one item and instance, in colours that change nowhere on a point.
+#[derive(Clone, Copy)]
+struct Flat<'a> {
+    front: &'a [Vec3],
+    back: &'a [Vec3],
+    tint: Vec4,
+    source_ids: &'a [u32],
+}
+
+impl<'a> Flat<'a> {
+    fn new(list: &'a DrawList, unit: &Unit) -> Option<Self> {
+        let [segment] = &unit.segments[..] else { return None };
+        let item = &list.items[segment.item as usize];
+        let is_flat = matches!(item.primitive, Primitive::Points { .. })
+            && item.blend != Blend::Over
+            && item.surface == Surface::VertexColor;
+        let buffers = list.vertices_of(item);
+        is_flat.then(|| Self {
+            front: &buffers.front,
+            back: &buffers.back,
+            tint: list.instances[segment.instance as usize].tint.with_w(1.0),
+            source_ids: &list.indices_of(item).source_ids,
+        })
+    }
 }
 
 /// Samples of one tile; index = pixel in the tile * S + sample.
@@ -89,7 +118,25 @@ impl<'a, const S: usize> Scene<'a, S> {
         let layers = [outputs.color, outputs.albedo, outputs.normal];
         let lanes = Lanes::new(samples);
         let counts_fragments = false;
-        Self { level, list, view, units, grid, lanes, offsets, layers, counts_fragments }
+        let color_alone = layers == [true, false, false];
+        let flats = if color_alone {
+            units.iter().map(|unit| Flat::new(list, unit)).collect()
+        } else {
+            Vec::new()
+        };
+        Self { level, list, view, units, grid, lanes, offsets, layers, counts_fragments, flats }
+    }
+
+    /// Colour and id of a point in a flat colour.
+    #[inline(always)]
+    pub(crate) fn flat(&self, reference: u32) -> Option<(Vec4, u32)> {
+        let flat = self.flats.get((reference >> SHAPE_BITS) as usize)?.as_ref()?;
+        let (unit, index) = self.referred(reference);
+        let origin = &unit.origins[index];
+        let side = if origin.tag.has(flags::FRONT) { flat.front } else { flat.back };
+        let color = side[origin.vertices[0] as usize].extend(1.0) * flat.tint;
+        let primitive = origin.primitive;
+        Some((color, flat.source_ids.get(primitive as usize).copied().unwrap_or(primitive)))
     }
 
     /// Whether no shape of the batch touches a tile.
