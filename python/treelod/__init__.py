@@ -34,6 +34,7 @@ from treelod.techniques import (
     PointsAndLines,
     SimplifiedMesh,
     Slicings,
+    StochasticPruning,
 )
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ __all__ = [
     "Scene",
     "SimplifiedMesh",
     "Slicings",
+    "StochasticPruning",
     "StoreError",
     "TreelodError",
     "ViewState",

@@ -12,12 +12,14 @@ __all__ = [
     "Renderer",
     "Representation",
     "Scene",
+    "StochasticPruning",
     "__version__",
     "_cut_for_test",
     "_panic_for_test",
     "_spin_for_test",
     "build_profile",
     "circle_directions",
+    "cloud",
     "cluster_leaves",
     "collapse_leaves",
     "cut_times",
@@ -37,6 +39,7 @@ __all__ = [
     "split_plant",
     "stored_hierarchy",
     "stored_note",
+    "stochastic_pruning",
     "time_naive",
     "vector_peak",
 ]
@@ -260,10 +263,13 @@ class PointsAndLines:
     def groups(self) -> list[dict[str, Any]]: ...
     def selection(self, camera: _CameraFacts) -> list[dict[str, Any]]: ...
     @property
+    def samples(self) -> list[tuple[_F32, _F32]]: ...
+    @property
     def factors(self) -> list[float]: ...
     @property
     def bytes(self) -> list[int]: ...
 
+def cloud(positions: _F32, colors: _F32, *, lines: bool, size_px: float) -> Representation: ...
 def points_and_lines(
     plant: Plant,
     facts: dict[str, Any],
@@ -271,6 +277,24 @@ def points_and_lines(
     threads: int | None,
     progress: Callable[[int, int], object] | None,
 ) -> PointsAndLines: ...
+
+@final
+class StochasticPruning:
+    def representation(self) -> Representation: ...
+    def at(self, kept_share: float) -> StochasticPruning: ...
+    def level(self, camera: _CameraFacts) -> dict[str, float]: ...
+
+def stochastic_pruning(
+    plant: Plant,
+    *,
+    leaf_width_px: float,
+    half_ratio: float,
+    shrink: float,
+    contrast: bool,
+    seed: int,
+    wood: bool,
+    wood_triangle_count: int | None,
+) -> StochasticPruning: ...
 def cluster_leaves(
     centers: _F32,
     normals: _F32,

@@ -2,6 +2,7 @@
 //!
 //! No technique knows another, and nothing outside this folder knows any.
 
+pub mod cloud;
 pub mod eigen;
 pub mod foliage_hierarchy;
 pub mod full_mesh;
@@ -9,6 +10,7 @@ pub mod leaf_clusters;
 pub mod points_and_lines;
 pub mod simplified_mesh;
 pub mod slicings;
+pub mod stochastic_pruning;
 
 pub(crate) mod leaves;
 #[cfg(test)]

@@ -303,6 +303,11 @@ impl PointsAndLines {
         self.built.factors.get().map_or(&[], |table| &table.factors)
     }
 
+    /// The arrays of all points, and of all lines.
+    pub fn samples(&self) -> [&Buffers; 2] {
+        [self.built.groups.points.buffers(), self.built.groups.lines.buffers()]
+    }
+
     /// Bytes of points and lines, and of the triangles.
     pub fn bytes(&self) -> [u64; 2] {
         let Groups { triangles, points, lines, piece_ends, groups } = &self.built.groups;
@@ -357,7 +362,7 @@ impl PointsAndLines {
                     SplatFactor::Fixed(factor) => factor,
                     SplatFactor::Coverage => {
                         let table = self.built.factors.get().expect("measured when chosen");
-                        table.at(needed / f64::from(count))
+                        table.at_spacing(distance * seen.sample)
                     }
                 };
                 chosen.points = points;

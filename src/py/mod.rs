@@ -18,6 +18,7 @@ mod points_and_lines;
 mod render;
 mod run;
 mod simplified_mesh;
+mod stochastic_pruning;
 mod view;
 
 use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
@@ -104,13 +105,15 @@ mod _core {
     #[pymodule_export]
     use super::png::encode_png;
     #[pymodule_export]
-    use super::points_and_lines::{PointsAndLines, points_and_lines};
+    use super::points_and_lines::{PointsAndLines, cloud, points_and_lines};
     #[pymodule_export]
     use super::render::{Renderer, Scene, peak_rate, time_naive};
     #[pymodule_export]
     use super::run::{_panic_for_test, _spin_for_test};
     #[pymodule_export]
     use super::simplified_mesh::simplified_mesh;
+    #[pymodule_export]
+    use super::stochastic_pruning::{StochasticPruning, stochastic_pruning};
 
     /// As in `Cargo.toml`, the one place that states it.
     #[pymodule_export]

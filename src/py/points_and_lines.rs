@@ -2,14 +2,19 @@
 
 use std::sync::Arc;
 
+use glam::Vec3;
+use numpy::{PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use super::arrays::{matrix, rows};
 use super::lod::{Representation, choice, wood_from};
 use super::plant::Plant;
 use super::run::run;
 use super::view::CameraFacts;
+use crate::draw_list::Buffers;
 use crate::lod::Representation as _;
+use crate::lod::cloud::Cloud;
 use crate::lod::points_and_lines::parts::{Class, Wishes};
 use crate::lod::points_and_lines::{
     self as core, Antialias, Drawing, PairOrder, Params, Sampling, SplatFactor,
@@ -100,6 +105,8 @@ impl PointsAndLinesFacts {
         })
     }
 }
+
+type SampleArrays<'py> = (Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<f32>>);
 
 /// A plant as points, lines and the triangles they stand for. Immutable.
 #[pyclass(frozen, module = "treelod._core")]
@@ -194,6 +201,18 @@ impl PointsAndLines {
         chosen.into_iter().map(chosen_facts).collect()
     }
 
+    /// Positions in the world and lit front colours of points, then of lines' ends: shape (N, 3) each.
+    #[getter]
+    fn samples<'py>(&self, py: Python<'py>) -> PyResult<[SampleArrays<'py>; 2]> {
+        let origin = self.inner.origin().as_vec3();
+        let arrays = |buffers: &Buffers| -> PyResult<SampleArrays<'py>> {
+            let positions: Vec<Vec3> = buffers.positions.iter().map(|&p| p + origin).collect();
+            Ok((matrix(py, &positions)?, matrix(py, &buffers.front)?))
+        };
+        let [points, lines] = self.inner.samples();
+        Ok([arrays(points)?, arrays(lines)?])
+    }
+
     /// Splat factors that cover as polygons do, from 2 points a triangle on, halved at each step.
     #[getter]
     fn factors(&self) -> Vec<f64> {
@@ -205,6 +224,21 @@ impl PointsAndLines {
     fn bytes(&self) -> [u64; 2] {
         self.inner.bytes()
     }
+}
+
+/// Given points, or lines between each two of them, as they are.
+#[pyfunction]
+#[pyo3(signature = (positions, colors, *, lines, size_px))]
+pub(super) fn cloud(
+    positions: PyReadonlyArray2<'_, f32>,
+    colors: PyReadonlyArray2<'_, f32>,
+    lines: bool,
+    size_px: f32,
+) -> PyResult<Representation> {
+    let positions: Vec<Vec3> = rows("positions", &positions)?;
+    let colors: Vec<Vec3> = rows("colors", &colors)?;
+    let built = Cloud::new(&positions, &colors, lines, size_px)?;
+    Ok(Representation { inner: Arc::new(built) })
 }
 
 /// Turns a plant into points and lines.

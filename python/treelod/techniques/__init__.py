@@ -6,6 +6,7 @@ from treelod.techniques.leaf_clusters import LeafClusters
 from treelod.techniques.points_and_lines import PointsAndLines
 from treelod.techniques.simplified_mesh import SimplifiedMesh
 from treelod.techniques.slicings import Slicings
+from treelod.techniques.stochastic_pruning import StochasticPruning
 from treelod.techniques.technique import BakedTexture, Footprint, Technique
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "PointsAndLines",
     "SimplifiedMesh",
     "Slicings",
+    "StochasticPruning",
     "Technique",
 ]
 
@@ -30,6 +32,7 @@ REGISTRY: dict[str, type[Technique]] = {
         FoliageHierarchy,
         SimplifiedMesh,
         PointsAndLines,
+        StochasticPruning,
     )
 }
 """Techniques by the name that tables, command lines and sweeps use."""

@@ -42,6 +42,8 @@ const MOST_POINTS: f64 = 2.0;
 pub struct FactorTable {
     /// Of 2 points for each triangle, 1, 1/2, and so on; empty without points.
     pub factors: Vec<f64>,
+    /// Mean projected area of a triangle, in square metres, over all groups of points.
+    pub triangle_area: f64,
 }
 
 impl FactorTable {
@@ -60,6 +62,12 @@ impl FactorTable {
             Some(&[a, b]) => a + (b - a) * row.fract(),
             _ => last,
         }
+    }
+
+    /// The factor at a distance between samples, in metres where the points are and before importance
+    /// divides it: what the plant's groups share, however they are weighed.
+    pub fn at_spacing(&self, spacing: f64) -> f64 {
+        self.at(self.triangle_area / (spacing * spacing))
     }
 
     /// Measures the points of a plant.
@@ -92,7 +100,8 @@ impl FactorTable {
             factors.push((low * high).sqrt());
             points /= 2.0;
         }
-        Ok(Self { factors })
+        let triangle_area = measuring.seen_area / f64::from(triangle_count);
+        Ok(Self { factors, triangle_area })
     }
 }
 
@@ -230,13 +239,14 @@ mod tests {
 
     #[test]
     fn factors_lie_between_rows() {
-        let table = FactorTable { factors: vec![2.0, 1.5, 1.0] };
+        let table = FactorTable { factors: vec![2.0, 1.5, 1.0], triangle_area: 4.0 };
         let cases = [(9.0, 2.0), (2.0, 2.0), (1.0, 1.5), (0.5, 1.0), (0.1, 1.0), (0.0, 1.0)];
         for (points, factor) in cases {
             assert_eq!(table.at(points), factor, "{points} points a triangle");
         }
         let between = table.at(std::f64::consts::SQRT_2);
         assert!((between - 1.75).abs() < 1e-12, "half way by the logarithm: {between}");
+        assert_eq!(table.at_spacing(2.0), 1.5, "4 square metres are one sample of 2 by 2");
         assert_eq!(FactorTable::default().at(1.0), 1.0, "no points, no factor");
     }
 }

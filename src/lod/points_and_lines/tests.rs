@@ -151,8 +151,8 @@ fn blades_are_lines_by_hand() {
 }
 
 fn same(a: &Frame, b: &Frame, name: &str) {
-    assert_eq!(a.color, b.color, "{name}: colour");
-    assert_eq!(a.depth, b.depth, "{name}: depth");
+    assert!(a.color == b.color, "{name}: another picture");
+    assert!(a.depth == b.depth, "{name}: another depth");
 }
 
 #[test]
@@ -179,7 +179,7 @@ fn from_near_it_is_the_full_mesh() {
         View::new(far.eye + plant.origin, plant.origin, DVec3::Y, far.projection, (60, 60), 1.0);
     let far = far.expect("valid");
     let lod = build(&plant, &params());
-    assert_ne!(draw(&lod, &far).color, draw(&full(&plant), &far).color, "the check can fail");
+    assert!(draw(&lod, &far).color != draw(&full(&plant), &far).color, "the check can fail");
 }
 
 #[test]
