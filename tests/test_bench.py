@@ -102,6 +102,25 @@ def test_raster_rows_compare_the_same_picture(tmp_path):
         assert row["peer_error"] == pytest.approx(row["ours_error"], rel=SAME_PICTURE)
 
 
+@pytest.mark.skipif(
+    (not has_llvmpipe() or importlib.util.find_spec("vtk") is None) and "CI" not in os.environ,
+    reason="VTK and llvmpipe are not installed (treelod[bench], and mesa-vulkan-drivers on Debian)",
+)
+def test_splat_rows_compare_the_same_points(tmp_path):
+    file = tmp_path / "rows.jsonl"
+    command = ["bench", "splats", "--small", "--repeats", "1", "--output", str(file)]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.stderr
+    rows = [json.loads(line) for line in file.read_text().splitlines()]
+    assert {row["peer"].split()[0] for row in rows} == {"VTK", "the", "ours,"}
+    compared = [row for row in rows if row["peer_error"] is not None]
+    assert {row["case"].split()[1] for row in compared} == {"points", "lines"}
+    for row in compared:
+        # a point of a pixel covers one pixel of either; where it is on a border, another one
+        limit = 0.02 if " points of" in row["case"] else 0.25
+        assert row["peer_error"] < limit, row["case"]
+
+
 @pytest.mark.timeout(300)
 def test_bake_rows_compare_the_same_textures(tmp_path):
     file = tmp_path / "rows.jsonl"

@@ -43,11 +43,18 @@ def _collapse(*, repeats: int, small: bool) -> Iterator[Row]:
     yield from cuts.rows(repeats=repeats, small=small)
 
 
+def _splats(*, repeats: int, small: bool) -> Iterator[Row]:
+    from treelod.bench.splats import rows
+
+    return rows(repeats=repeats, small=small)
+
+
 GROUPS: dict[str, Callable[..., Iterator[Row]]] = {
     "bake": _bake,
     "clusters": _clusters,
     "collapse": _collapse,
     "raster": _raster,
+    "splats": _splats,
 }
 """Groups by name. Called with `repeats` (rounds that are counted) and `small` (seconds instead of
 minutes, for tests); peers are imported only then."""
