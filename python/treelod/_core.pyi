@@ -37,9 +37,9 @@ __all__ = [
     "smooth_normals",
     "sphere_directions",
     "split_plant",
+    "stochastic_pruning",
     "stored_hierarchy",
     "stored_note",
-    "stochastic_pruning",
     "time_naive",
     "vector_peak",
 ]
