@@ -252,7 +252,9 @@ impl PointsAndLines {
         let built = Built {
             groups,
             parts,
-            surfaces: Surfaces { materials: ready_to_draw(&plant.materials, Filter::Bilinear) },
+            surfaces: Surfaces {
+                materials: ready_to_draw(&plant.materials, Filter::Bilinear, job)?,
+            },
             pair_order: params.pair_order,
             orientation_factor: params.orientation_factor,
             factors: OnceLock::new(),

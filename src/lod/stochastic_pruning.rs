@@ -214,8 +214,12 @@ impl StochasticPruning {
                 mesh.triangles.iter().flatten().map(|&v| colors[v as usize].as_dvec3()).sum();
             (sum / (3 * mesh.triangles.len()) as f64).as_vec3()
         };
-        let solid =
-            Solid::new(&[(&wood, Buffers::ids_from(0, &wood))], &plant.materials, Filter::Bilinear);
+        let solid = Solid::new(
+            &[(&wood, Buffers::ids_from(0, &wood))],
+            &plant.materials,
+            Filter::Bilinear,
+            job,
+        )?;
         let leaf_width = (area / leaf_count as f64).sqrt();
         let boxes =
             [Some(mesh), Some(&wood)].into_iter().flatten().filter_map(|mesh| mesh.bounds());
@@ -225,7 +229,7 @@ impl StochasticPruning {
             .expect("there are leaves");
         let built = Built {
             geometry: Geometry::new(Buffers::from_mesh(mesh, Buffers::ids_from(wood_count, mesh))),
-            materials: ready_to_draw(&plant.materials, Filter::Bilinear),
+            materials: ready_to_draw(&plant.materials, Filter::Bilinear, job)?,
             runs,
             vertices,
             corners,

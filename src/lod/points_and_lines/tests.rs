@@ -38,7 +38,7 @@ fn build(plant: &Plant, params: &Params) -> PointsAndLines {
 }
 
 fn full(plant: &Plant) -> FullMesh {
-    FullMesh::build(plant, Wood::Full, Filter::Bilinear).expect("valid")
+    FullMesh::build(plant, Wood::Full, Filter::Bilinear, &Job::default()).expect("valid")
 }
 
 fn all_as(class: Class) -> Wishes {

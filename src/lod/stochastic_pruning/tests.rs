@@ -114,7 +114,8 @@ fn from_near_it_is_the_full_mesh() {
             plant.wood = Mesh::default();
         }
         let lod = build(&plant, &Params { contrast: true, shrink: 0.5, ..params() });
-        let full = FullMesh::build(&plant, Wood::Full, Filter::Bilinear).expect("valid");
+        let full =
+            FullMesh::build(&plant, Wood::Full, Filter::Bilinear, &Job::default()).expect("valid");
         let (found, expected) = (draw(&lod, &view), draw(&full, &view));
         assert!(found.color == expected.color, "{mode:?}: another picture");
         assert!(found.depth == expected.depth, "{mode:?}: another depth");
