@@ -58,6 +58,7 @@ bench: ## times against other tools, and of every technique; close other program
 	uv run --locked --extra bench --extra validate treelod bench raster --output target/raster.jsonl
 	uv run --locked --extra bench --extra validate treelod bench bake --output target/bake.jsonl
 	uv run --locked --extra bench treelod bench clusters --output target/clusters.jsonl
+	uv run --locked --extra bench treelod bench collapse --output target/collapse.jsonl
 	uv run --locked --extra bench treelod bench splats --output target/splats.jsonl
 	uv run --locked treelod compare chestnut --output target/bench --azimuths 2 --elevations 0 \
 		--reference-samples 16 --repeats 25
