@@ -85,6 +85,26 @@ LONG_CALLS = {
         "[tl.LeafClusters.build(plant, cluster_count=range(400, 0, -1), flatten='rotate', "
         "resolution=8) for _ in range(20)]",
     ),
+    "collapse": (
+        "leaves = np.random.default_rng(1).random((400_000, 4, 3), np.float32)",
+        "tl.collapse_leaves(leaves)",
+    ),
+    "keep coverage": (
+        "plant = tl.grow_plant('chestnut', leaf_count=20_000)",
+        "[tl.FoliageHierarchy.build(plant) for _ in range(50)]",
+    ),
+    "points": (
+        "plant = tl.grow_plant('pine')",
+        "[tl.PointsAndLines.build(plant) for _ in range(50)]",
+    ),
+    "splat factors": (
+        "plant = tl.grow_plant('chestnut', leaf_count=20_000)",
+        "[tl.PointsAndLines.build(plant, splat_factor='coverage') for _ in range(50)]",
+    ),
+    "prune": (
+        "plant = tl.grow_plant('pine')",
+        "[tl.StochasticPruning.build(plant) for _ in range(100)]",
+    ),
     "compare": (
         "from treelod.comparison import compare_techniques",
         "compare_techniques(plant, {'full_mesh': {}, 'slicings': {}}, "

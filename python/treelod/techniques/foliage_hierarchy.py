@@ -341,7 +341,7 @@ class FoliageHierarchy(Technique):
         >>> lod = tl.FoliageHierarchy.build(plant)
         >>> lod.at(leaf_count=20)
         FoliageHierarchy(distance='centre', ... leaf_count=20, ...)
-        >>> camera = tl.orbit(plant, count=1, distance=10)[0]
+        >>> camera = tl.orbit(plant, count=1, distance=40)[0]
         >>> (active,) = lod.active([camera])
         >>> 1 < len(active.nodes) < 200
         True
