@@ -134,6 +134,12 @@ class TestCombining:
         with pytest.raises(ValueError, match="not be more than 64 criteria within one another"):
             criteria.criterion_from(~deepest)
 
+    def test_words_do_not_join_criteria(self):
+        with pytest.raises(TypeError, match=r"joined by & \| ~"):
+            criteria.screen_size(4) and criteria.distance(3)
+        with pytest.raises(TypeError, match="calling <function screen_size"):
+            criteria.criterion_from(criteria.screen_size)
+
     def test_too_many_are_refused_as_they_are_made(self):
         nested = criteria.frustum()
         for _ in range(8):

@@ -96,3 +96,19 @@ def test_what_is_wrong_is_named(plant, params, error, message):
         tl.StochasticPruning.build(plant, **params)
     with pytest.raises(ValueError, match="kept_share must be in"):
         tl.StochasticPruning.build(plant).at(kept_share=0.0)
+
+
+def test_large_leaves_stay_inside_the_bounds():
+    plant = tl.grow_plant("chestnut", leaf_count=2000)
+    for share in (1e-9, 1e-3, 0.1, 1.0):
+        lod = tl.StochasticPruning.build(plant, wood=False).at(kept_share=share)
+        low, high = tl.Scene([(lod, None)]).bounds
+        middle, size = (low + high) / 2, np.linalg.norm(high - low) * 2
+        camera = tl.Camera.orthographic(
+            tuple(middle + np.array([0, 0, size])), tuple(middle), height=size, size=(200, 200)
+        )
+        frame = tl.render(lod, camera, outputs=("color",))
+        rows, columns = np.nonzero(frame.color[..., 3])
+        left, top, right, bottom = frame.bounds_px
+        assert left <= columns.min() <= columns.max() < right
+        assert top <= rows.min() <= rows.max() < bottom

@@ -25,6 +25,9 @@ import treelod as tl
 from treelod import criteria
 from treelod.color import composite, quantize, srgb_from_linear
 
+MODELS = Path(__file__).parents[3] / "shared" / "models"
+"""Real plants, where `TREELOD_MODELS` says nothing."""
+
 HERE = Path(__file__).parent
 BACKGROUND = (0.80, 0.86, 0.92)
 """Linear colour behind the plants."""
@@ -46,7 +49,7 @@ STYLE = {"font.size": 9, "axes.spines.right": False, "axes.spines.top": False}
 def plant_of(name: str) -> tl.Plant:
     """Grow or load a plant."""
     if name in FILES:
-        return tl.load_plant(Path(os.environ["TREELOD_MODELS"]) / FILES[name])
+        return tl.load_plant(Path(os.environ.get("TREELOD_MODELS") or MODELS) / FILES[name])
     return tl.grow_plant(name)
 
 

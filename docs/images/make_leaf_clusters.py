@@ -20,6 +20,9 @@ from PIL import Image, ImageDraw, ImageFont
 import treelod as tl
 from treelod.color import composite, quantize, srgb_from_linear
 
+MODELS = Path(__file__).parents[3] / "shared" / "models"
+"""Real plants, where `TREELOD_MODELS` says nothing."""
+
 HERE = Path(__file__).parent
 BACKGROUND = (0.80, 0.86, 0.92)
 """Linear colour behind the plants."""
@@ -117,7 +120,7 @@ def alpha_rows(plant: tl.Plant) -> Iterator[dict[str, Any]]:
 
 def show_alpha() -> None:
     """Write ``alpha.png``: error and coverage against the weight of the angle."""
-    models = Path(os.environ["TREELOD_MODELS"])
+    models = Path(os.environ.get("TREELOD_MODELS") or MODELS)
     plants = [tl.grow_plant("chestnut"), *(tl.load_plant(models / name) for name in REAL_PLANTS)]
     with mpl.rc_context({"font.size": 9, "axes.spines.right": False, "axes.spines.top": False}):
         figure = Figure(figsize=(9.0, 5.0), layout="constrained")

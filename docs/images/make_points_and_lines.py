@@ -20,6 +20,9 @@ from PIL import Image, ImageDraw, ImageFont
 import treelod as tl
 from treelod.color import composite, quantize, srgb_from_linear
 
+MODELS = Path(__file__).parents[3] / "shared" / "models"
+"""Real plants, where `TREELOD_MODELS` says nothing."""
+
 HERE = Path(__file__).parent
 BACKGROUND = (0.80, 0.86, 0.92)
 """Linear colour behind the plants."""
@@ -35,7 +38,7 @@ SPACINGS = (0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 4.0)
 
 def real_plants() -> list[tl.Plant]:
     """Load the real plants."""
-    folder = Path(os.environ["TREELOD_MODELS"])
+    folder = Path(os.environ.get("TREELOD_MODELS") or MODELS)
     return [tl.load_plant(folder / path) for path in REAL_PLANTS]
 
 
@@ -114,7 +117,7 @@ def coverage() -> None:
                         f"{plant.name} {distance:g} radii, {label}: {ratios.mean():.3f}, "
                         f"worst {worst:.3f}, {points} points"
                     )
-        for (label, ratios), color in zip(lines.items(), "C0 C1 C2 C0 C1 C2".split(), strict=True):
+        for (label, ratios), color in zip(lines.items(), ["C0", "C1", "C2", "C0", "C1", "C2"], strict=True):
             style = "-" if label.startswith("split") else ":"
             axes.plot(DISTANCES, ratios, style, color=color, label=label)
         axes.axhline(1.0, color="black", linewidth=0.6)

@@ -109,6 +109,11 @@ class Criterion:
         """Where it is not."""
         return self.part if isinstance(self, _Not) else _checked(_Not(self))
 
+    def __bool__(self) -> bool:
+        """Refuse ``and``, ``or`` and ``not``, which would drop half of what they join."""
+        msg = "criteria are joined by & | ~, not by and, or, not"
+        raise TypeError(msg)
+
     @property
     def parts(self) -> tuple[Criterion, ...]:
         """What it is combined of; empty for one that is not combined."""
@@ -473,6 +478,10 @@ def criterion_from(value: CriterionLike) -> Criterion:
     if not isinstance(value, Criterion):
         if not _is_like(value):
             msg = f"criterion must be a Criterion or a function, got {type(value).__name__}"
+            raise TypeError(msg)
+        makers: tuple[object, ...] = (sphere, plane, frustum, screen_size, distance)
+        if value in makers:
+            msg = f"criterion must be made by calling {value!r}"
             raise TypeError(msg)
         return _Function(value)
     if type(value) is Criterion:

@@ -307,6 +307,9 @@ def check_size(size: tuple[int, int]) -> None:
 
 def camera_facts(camera: Camera) -> _core._CameraFacts:
     """Return a camera as the core takes it: with an `up` that is never parallel to the view."""
+    if not hasattr(camera, "view_rotation"):
+        msg = f"camera must be a Camera, got {type(camera).__name__}"
+        raise TypeError(msg)
     up = camera.view_rotation()[1]
     return {
         "eye": camera.eye,

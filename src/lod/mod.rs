@@ -127,6 +127,11 @@ pub trait Representation: Debug + Send + Sync {
     /// Local-space box around everything it may draw.
     fn bounds(&self) -> (DVec3, DVec3);
 
+    /// Pixels by which it may draw beyond that box: points and lines have their size in pixels.
+    fn margin_px(&self) -> f64 {
+        0.0
+    }
+
     /// World position of local zero when the plant stands where its file put it.
     fn origin(&self) -> DVec3;
 

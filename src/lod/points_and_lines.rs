@@ -25,6 +25,7 @@ pub mod selection;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 
 use glam::{DVec3, Vec4};
@@ -45,7 +46,7 @@ use crate::lod::points_and_lines::selection::{
 pub use crate::lod::points_and_lines::selection::{PairOrder, Sampling};
 use crate::lod::solid::{blend_of, ready_to_draw, surface_of, textures_of};
 use crate::lod::wood::Wood;
-use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation};
+use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation, largest_scale};
 use crate::plant::mesh::MAX_ELEMENT_COUNT;
 use crate::plant::{Material, Mesh, Part as MeshPart, Plant};
 use crate::texture::Filter;
@@ -302,6 +303,9 @@ impl PointsAndLines {
     /// Splat factors that cover as polygons do, by halving numbers of points from 2 for each triangle;
     /// empty unless they were asked for.
     pub fn factors(&self) -> &[f64] {
+        if self.drawing.splat_factor != SplatFactor::Coverage {
+            return &[];
+        }
         self.built.factors.get().map_or(&[], |table| &table.factors)
     }
 
@@ -396,21 +400,13 @@ impl PointsAndLines {
     fn sees(&self, view: &View, crown: &Crown, chosen: &Chosen) -> bool {
         let group = &self.groups()[chosen.group];
         let center = crown.world_from_local.transform_point3(group.center);
-        let radius = group.radius * largest_stretch(crown);
+        let radius = group.radius * largest_scale(&crown.world_from_local);
         let depth = view.view_from_world(center).z + radius;
         let [side, width] = chosen.sizes_px;
         // splats and lines reach beyond their middle, and antialiased ones are a pixel wide
         let margin = side.max(width).max(1.0) * view.pixel_size_at(depth.max(view.near));
         view.sees_ball(center, radius + margin)
     }
-}
-
-/// An upper bound on how much a copy stretches any length.
-fn largest_stretch(crown: &Crown) -> f64 {
-    let m = crown.world_from_local.matrix3;
-    let squared = m.transpose() * m;
-    let rows = [squared.x_axis, squared.y_axis, squared.z_axis];
-    rows.map(|row| row.abs().element_sum()).into_iter().fold(0.0, f64::max).sqrt()
 }
 
 /// Wood and leaves as one mesh, the wood first, with the ids of the plant's triangles.
@@ -441,7 +437,8 @@ struct Emitter<'a> {
     builder: &'a mut ListBuilder,
     sources: [Source; 3],
     /// Copies of an instance whose splats fade: opacity, and the instance.
-    faded: Vec<(f32, u32)>,
+    /// Instances by the bits of their opacity.
+    faded: BTreeMap<u32, u32>,
     /// Triangles that blend: distance, material, index, of the copy at hand.
     blended: Vec<(f64, u32, u32)>,
 }
@@ -470,13 +467,13 @@ impl Emitter<'_> {
 
     /// An instance like another, less opaque.
     fn faded(&mut self, instance: u32, opacity: f32) -> u32 {
-        if let Some(&(_, known)) = self.faded.iter().find(|known| known.0 == opacity) {
+        if let Some(&known) = self.faded.get(&opacity.to_bits()) {
             return known;
         }
         let of = self.builder.list.instances[instance as usize];
         let faded = Instance { tint: Vec4::ONE.with_w(opacity), ..of };
         let number = self.builder.list.instance(faded).start;
-        self.faded.push((opacity, number));
+        self.faded.insert(opacity.to_bits(), number);
         number
     }
 }
@@ -601,6 +598,16 @@ impl Representation for PointsAndLines {
         self.built.bounds
     }
 
+    fn margin_px(&self) -> f64 {
+        let Drawing { splat_factor, sample_distance_px, .. } = self.drawing;
+        let factor = match splat_factor {
+            SplatFactor::Fixed(factor) => factor,
+            SplatFactor::Coverage => self.factors().iter().copied().fold(1.0, f64::max),
+        };
+        // a line is as wide as samples are apart, an antialiased one a pixel
+        (factor.max(1.0).sqrt() * sample_distance_px).max(1.0)
+    }
+
     fn origin(&self) -> DVec3 {
         self.built.origin
     }
@@ -633,7 +640,7 @@ impl Representation for PointsAndLines {
         let Groups { triangles, points, lines, .. } = &self.built.groups;
         let sources = [triangles, points, lines].map(|shared| builder.list.geometry(shared));
         let mut emitter =
-            Emitter { view, builder, sources, faded: Vec::new(), blended: Vec::new() };
+            Emitter { view, builder, sources, faded: BTreeMap::new(), blended: Vec::new() };
         // near copies first, so that they hide what lies behind them
         for crown in crowns.iter().rev() {
             let seen = self.seen(view, crown);

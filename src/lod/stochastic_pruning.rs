@@ -19,14 +19,16 @@
 #[cfg(test)]
 mod tests;
 
+use std::f64::consts::SQRT_2;
 use std::ops::Range;
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
+use rayon::slice::ParallelSliceMut;
 
 use crate::draw_list::{Blend, Buffers, Geometry, Instance, Item, OwnBuffers, Primitive, Source};
 use crate::error::{LodError, check_in};
-use crate::job::Job;
+use crate::job::{ELEMENTS_PER_CHECK, Job};
 use crate::lod::leaves::Leaves;
 use crate::lod::solid::{Solid, blend_of, ready_to_draw, surface_of, textures_of};
 use crate::lod::wood::Wood;
@@ -130,8 +132,11 @@ struct Built {
     leaf_count: usize,
     /// Root of the mean leaf area, in metres.
     leaf_width: f64,
+    /// Largest distance of a vertex from its leaf's centre, in metres.
+    leaf_reach: f64,
     mean_color: Vec3,
     center: DVec3,
+    /// Of all leaves in their own size.
     bounds: (DVec3, DVec3),
     origin: DVec3,
 }
@@ -162,13 +167,17 @@ impl StochasticPruning {
         let mut order: Vec<(u64, usize)> = job.collect(leaf_count, |leaf| {
             (Stream::new(params.seed, ORDER, leaf as u64).next_u64(), leaf)
         })?;
-        order.sort_unstable();
+        order.par_sort_unstable();
+        job.check()?;
         let mut runs: Vec<Run> = Vec::new();
         let mut vertices: Vec<u32> = Vec::new();
         let mut corners = vec![[0_u32; 3]; foliage.mesh.triangles.len()];
         // where in `vertices` a vertex was put last
         let mut last_put = vec![u32::MAX; foliage.mesh.positions.len()];
         for (number, &(_, leaf)) in order.iter().enumerate() {
+            if number.is_multiple_of(ELEMENTS_PER_CHECK) {
+                job.check()?;
+            }
             let place = number as f64 / leaf_count as f64;
             let triangles = foliage.triangles_of(leaf);
             let center = foliage.centers[leaf].as_dvec3();
@@ -214,6 +223,7 @@ impl StochasticPruning {
                 mesh.triangles.iter().flatten().map(|&v| colors[v as usize].as_dvec3()).sum();
             (sum / (3 * mesh.triangles.len()) as f64).as_vec3()
         };
+        job.check()?;
         let solid = Solid::new(
             &[(&wood, Buffers::ids_from(0, &wood))],
             &plant.materials,
@@ -227,6 +237,13 @@ impl StochasticPruning {
             .map(|(low, high)| (low.as_dvec3(), high.as_dvec3()))
             .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
             .expect("there are leaves");
+        let vertices_of = |leaf: usize| foliage.triangles_of(leaf).flat_map(|t| mesh.corners(t));
+        let reaches = job.collect(leaf_count, |leaf| {
+            let center = foliage.centers[leaf].as_dvec3();
+            vertices_of(leaf).map(|p| p.as_dvec3().distance(center)).fold(0.0, f64::max)
+        })?;
+        let leaf_reach = reaches.into_iter().fold(0.0, f64::max);
+        job.check()?;
         let built = Built {
             geometry: Geometry::new(Buffers::from_mesh(mesh, Buffers::ids_from(wood_count, mesh))),
             materials: ready_to_draw(&plant.materials, Filter::Bilinear, job)?,
@@ -239,8 +256,8 @@ impl StochasticPruning {
             leaf_width,
             mean_color: (mean(&mesh.front) + mean(&mesh.back)) * 0.5,
             center: leaves.center,
-            // larger leaves reach out further
-            bounds: (low - leaf_width * 4.0, high + leaf_width * 4.0),
+            leaf_reach,
+            bounds: (low, high),
             origin: plant.origin,
         };
         Ok(Self { built: Arc::new(built), fixed: None })
@@ -249,7 +266,7 @@ impl StochasticPruning {
     /// The same with a fixed share of the leaves.
     ///
     /// # Errors
-    /// A share that is not in (0, 1].
+    /// A share that is not in [1e-9, 1].
     pub fn at(&self, kept_share: f64) -> Result<Self, LodError> {
         check_in("kept_share", kept_share, 1e-9..=1.0)?;
         Ok(Self { built: Arc::clone(&self.built), fixed: Some(kept_share) })
@@ -384,7 +401,26 @@ fn sort_far_to_near(buffers: &mut Buffers, triangles: Range<u32>, view: &View, c
 
 impl Representation for StochasticPruning {
     fn bounds(&self) -> (DVec3, DVec3) {
-        self.built.bounds
+        let Built { bounds: (low, high), leaf_reach, leaf_count, params, .. } = &*self.built;
+        if self.fixed.is_none() && params.half_ratio >= SQRT_2 {
+            // leaves that grow as they become fewer: `margin_px` says how far
+            return (*low, *high);
+        }
+        // of the largest leaves that the fixed share, or any view, has left
+        let share = self.fixed.unwrap_or(0.0).max(1.0 / *leaf_count as f64);
+        let largest = Level::new(share, params.shrink, 0.0).area_factor(0.0).sqrt();
+        let reach = leaf_reach * (largest - 1.0).max(0.0);
+        (*low - reach, *high + reach)
+    }
+
+    fn margin_px(&self) -> f64 {
+        let Built { leaf_reach, leaf_width, params, .. } = &*self.built;
+        if self.fixed.is_some() || params.half_ratio < SQRT_2 || *leaf_width <= 0.0 {
+            return 0.0;
+        }
+        // at z times the distance at which pruning begins leaves are 1/z as wide and, for they are
+        // z^(-log_h 2) as many, z^(log_h 2 / 2) <= z times as large; twice the area while some shrink
+        SQRT_2 * params.leaf_width_px * leaf_reach / leaf_width
     }
 
     fn origin(&self) -> DVec3 {

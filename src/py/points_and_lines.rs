@@ -197,7 +197,8 @@ impl PointsAndLines {
             facts.set_item("line_width_px", chosen.sizes_px[1])?;
             Ok(facts)
         };
-        let chosen = self.inner.selection(&camera.view()?);
+        let view = camera.view()?;
+        let chosen = py.detach(|| self.inner.selection(&view));
         chosen.into_iter().map(chosen_facts).collect()
     }
 
@@ -230,6 +231,7 @@ impl PointsAndLines {
 #[pyfunction]
 #[pyo3(signature = (positions, colors, *, lines, size_px))]
 pub(super) fn cloud(
+    py: Python<'_>,
     positions: PyReadonlyArray2<'_, f32>,
     colors: PyReadonlyArray2<'_, f32>,
     lines: bool,
@@ -237,7 +239,7 @@ pub(super) fn cloud(
 ) -> PyResult<Representation> {
     let positions: Vec<Vec3> = rows("positions", &positions)?;
     let colors: Vec<Vec3> = rows("colors", &colors)?;
-    let built = Cloud::new(&positions, &colors, lines, size_px)?;
+    let built = py.detach(|| Cloud::new(&positions, &colors, lines, size_px))?;
     Ok(Representation { inner: Arc::new(built) })
 }
 

@@ -108,9 +108,13 @@ impl Scene {
         for (number, group) in self.groups.iter().enumerate() {
             let (low, high) = group.representation.bounds();
             let (center, radius) = ((low + high) * 0.5, (high - low).length() * 0.5);
+            let margin_px = group.representation.margin_px();
             for (index, placement) in group.placements.iter().enumerate() {
                 let world_center = placement.transform_point3(center);
-                if !view.sees_ball(world_center, radius * largest_scale(placement)) {
+                let world_radius = radius * largest_scale(placement);
+                let farthest = view.view_from_world(world_center).z + world_radius;
+                let margin = margin_px * view.pixel_size_at(farthest.max(view.near));
+                if !view.sees_ball(world_center, world_radius + margin) {
                     continue;
                 }
                 let distance = if view.is_orthographic() {

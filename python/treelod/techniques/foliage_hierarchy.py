@@ -18,7 +18,7 @@ from treelod.criteria import criterion_from
 from treelod.errors import StoreError
 from treelod.files import atomic_write
 from treelod.render import camera_facts, thread_count
-from treelod.techniques.technique import Technique, flag, number, text, whole, wood_facts
+from treelod.techniques.technique import Technique, core_of, flag, number, text, whole, wood_facts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -374,7 +374,7 @@ class FoliageHierarchy(Technique):
         }
         start = time.perf_counter()
         hierarchy = _core.foliage_hierarchy(
-            plant._core,
+            core_of(plant),
             collapse,
             {"selection": _as_core_takes_it(selection), **drawn},
             threads=thread_count(threads),
@@ -471,7 +471,7 @@ class FoliageHierarchy(Technique):
         built = {name: note[name] for name in BUILT_WITH}
         drawn = {"keep_coverage": built.pop("keep_coverage"), **drawn}
         hierarchy = _core.stored_hierarchy(
-            plant._core,
+            core_of(plant),
             stored,
             digest,
             built,
@@ -499,6 +499,7 @@ BUILT_WITH = (
 
 def _digest(plant: Plant) -> bytes:
     """Return 32 bytes that name a plant's foliage with its outlines, without colours and light."""
+    core_of(plant)
     foliage = plant.foliage
     digest = hashlib.sha256()
     arrays = (

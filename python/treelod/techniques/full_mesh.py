@@ -6,7 +6,7 @@ import time
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from treelod import _core
-from treelod.techniques.technique import Technique, wood_facts
+from treelod.techniques.technique import Technique, core_of, wood_facts
 
 if TYPE_CHECKING:
     from treelod.plants import Plant
@@ -64,6 +64,6 @@ class FullMesh(Technique):
         """
         wood_params = wood_facts(wood=wood, wood_triangle_count=wood_triangle_count)
         start = time.perf_counter()
-        core = _core.full_mesh(plant._core, filter=filter, **wood_params)
+        core = _core.full_mesh(core_of(plant), filter=filter, **wood_params)
         secs = time.perf_counter() - start
         return cls(core, {**wood_params, "filter": filter}, secs)

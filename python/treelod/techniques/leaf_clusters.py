@@ -13,6 +13,7 @@ from treelod import _core
 from treelod.render import camera_facts, thread_count
 from treelod.techniques.technique import (
     Technique,
+    core_of,
     flag,
     number,
     resolution_texels,
@@ -358,7 +359,7 @@ class LeafClusters(Technique):
         cameras = None if views is None else [camera_facts(camera) for camera in views]
         start = time.perf_counter()
         clusters = _core.leaf_clusters(
-            plant._core,
+            core_of(plant),
             {**facts, "views": cameras},
             threads=thread_count(threads),
             progress=progress,

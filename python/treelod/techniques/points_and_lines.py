@@ -11,7 +11,7 @@ import numpy as np
 
 from treelod import _core
 from treelod.render import camera_facts, thread_count
-from treelod.techniques.technique import Technique, number, whole, wood_facts
+from treelod.techniques.technique import Technique, core_of, number, text, whole, wood_facts
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -228,7 +228,7 @@ class PointsAndLines(Technique):
         cls,
         plant: Plant,
         *,
-        splat_factor: float | Literal["coverage"] = 1.3,
+        splat_factor: float | Literal["coverage"] = "coverage",
         sample_distance_px: float = 1.0,
         sampling: Literal["auto", "stratified", "area"] = "auto",
         pair_order: Literal["split", "paired"] = "split",
@@ -251,7 +251,7 @@ class PointsAndLines(Technique):
         ----------
         plant : Plant
             What to draw.
-        splat_factor : float or 'coverage', default 1.3
+        splat_factor : float or 'coverage', default 'coverage'
             Area of a splat over the square of the distance between samples, in [0.01, 256]. 1
             covers what the same area of random polygons covers; the paper uses 1.2 to 1.5 against
             holes. 'coverage' takes, for each view, the factor at which the splats cover what this
@@ -326,11 +326,11 @@ class PointsAndLines(Technique):
         """
         wood_params = wood_facts(wood=wood, wood_triangle_count=wood_triangle_count)
         drawing = _drawing(splat_factor, sample_distance_px, antialias)
-        weights = _importance(importance)
+        weights, is_automatic = _importance(importance)
         named = _by_name("classes", {} if classes is None else classes)
         facts: dict[str, Any] = {
-            "sampling": sampling,
-            "pair_order": pair_order,
+            "sampling": text("sampling", sampling),
+            "pair_order": text("pair_order", pair_order),
             "orientation_factor": number("orientation_factor", orientation_factor),
             "octree_depth": whole("octree_depth", octree_depth, 0),
             "cell_triangle_count": whole("cell_triangle_count", cell_triangle_count, 1, 2**64),
@@ -339,13 +339,13 @@ class PointsAndLines(Technique):
         }
         start = time.perf_counter()
         samples = _core.points_and_lines(
-            plant._core,
+            core_of(plant),
             {
                 **facts,
                 "drawing": drawing,
-                "classes": list(named.items()),
-                "importance": [(name, weight) for name, weight in weights.items() if name],
-                "automatic_importance": "" not in weights,
+                "classes": [(name, text("classes", kind)) for name, kind in named.items()],
+                "importance": list(weights.items()),
+                "automatic_importance": is_automatic,
             },
             threads=thread_count(threads),
             progress=progress,
@@ -355,7 +355,7 @@ class PointsAndLines(Technique):
             **drawing,
             **facts,
             "classes": None if classes is None else dict(named),
-            "importance": importance,
+            "importance": dict(importance) if isinstance(importance, Mapping) else importance,
         }
         return cls(samples, params, secs)
 
@@ -368,7 +368,7 @@ def _drawing(
     return {
         "splat_factor": factor if isinstance(factor, str) else number("splat_factor", factor),
         "sample_distance_px": number("sample_distance_px", sample_distance_px),
-        "antialias": antialias,
+        "antialias": text("antialias", antialias),
     }
 
 
@@ -379,15 +379,14 @@ def _by_name(name: str, given: Mapping[str, Any]) -> Mapping[str, Any]:
     return given
 
 
-def _importance(importance: str | float | Mapping[str, float]) -> dict[str, float]:
-    """Return importance by name; with the empty name, all others have 1 instead of their own."""
+def _importance(importance: str | float | Mapping[str, float]) -> tuple[dict[str, float], bool]:
+    """Return importance by name, and whether all others have their own instead of 1."""
     if isinstance(importance, str):
         if importance == "auto":
-            return {}
+            return {}, True
         msg = f'importance must be "auto", a number or a mapping, got {importance!r}'
         raise ValueError(msg)
     if isinstance(importance, Mapping):
         given = _by_name("importance", importance)
-        return {name: number("importance", weight) for name, weight in given.items()}
-    weight = number("importance", importance)
-    return {"": 1.0, "*": weight}
+        return {name: number("importance", weight) for name, weight in given.items()}, True
+    return {"*": number("importance", importance)}, False

@@ -6,7 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from treelod import _core
-from treelod.techniques.technique import Technique, flag, number, whole, wood_facts
+from treelod.techniques.technique import Technique, core_of, flag, number, whole, wood_facts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -162,7 +162,7 @@ class SimplifiedMesh(Technique):
         }
         start = time.perf_counter()
         core, count, error = _core.simplified_mesh(
-            plant._core,
+            core_of(plant),
             # the share does not count where a count is given
             {**params, "keep_fraction": 1.0 if keep_fraction is None else params["keep_fraction"]},
             progress=progress,

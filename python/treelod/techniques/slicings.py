@@ -9,7 +9,7 @@ import numpy as np
 
 from treelod import _core
 from treelod.render import camera_facts, thread_count
-from treelod.techniques.technique import Technique, resolution_texels, whole, wood_facts
+from treelod.techniques.technique import Technique, core_of, resolution_texels, whole, wood_facts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -157,7 +157,7 @@ class Slicings(Technique):
         facts = None if views is None else [camera_facts(camera) for camera in views]
         start = time.perf_counter()
         core, measured = _core.slicings(
-            plant._core,
+            core_of(plant),
             directions,
             triangles,
             slice_count=whole("slice_count", slice_count),

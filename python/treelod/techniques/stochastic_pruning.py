@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from treelod import _core
 from treelod.render import camera_facts
-from treelod.techniques.technique import Technique, flag, number, whole, wood_facts
+from treelod.techniques.technique import Technique, core_of, flag, number, whole, wood_facts
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -154,5 +154,5 @@ class StochasticPruning(Technique):
             **wood_facts(wood=wood, wood_triangle_count=wood_triangle_count),
         }
         start = time.perf_counter()
-        pruning = _core.stochastic_pruning(plant._core, **facts)
+        pruning = _core.stochastic_pruning(core_of(plant), **facts)
         return cls(pruning, facts, time.perf_counter() - start)

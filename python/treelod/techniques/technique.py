@@ -9,17 +9,18 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from treelod import _core
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-    from treelod import _core
-
 __all__ = [
     "BakedTexture",
     "Footprint",
     "Technique",
+    "core_of",
     "flag",
     "number",
     "resolution_texels",
@@ -222,6 +223,31 @@ def number(name: str, value: float) -> float:
     except (TypeError, ValueError):
         msg = f"{name} must be a number, got {value!r}"
         raise TypeError(msg) from None
+
+
+def core_of(plant: object) -> _core.Plant:
+    """
+    Return what the core knows of a plant.
+
+    Parameters
+    ----------
+    plant : Plant
+        What `build` was given.
+
+    Returns
+    -------
+    _core.Plant
+
+    Raises
+    ------
+    TypeError
+        If it is anything else.
+    """
+    core = getattr(plant, "_core", None)
+    if not isinstance(core, _core.Plant):
+        msg = f"plant must be a Plant, got {type(plant).__name__}: see load_plant and grow_plant"
+        raise TypeError(msg)
+    return core
 
 
 def text(name: str, value: object) -> str:

@@ -20,7 +20,9 @@ use crate::lod::points_and_lines::octree::Cells;
 use crate::lod::points_and_lines::opaque::Cover;
 use crate::lod::points_and_lines::parts::{Class, Part};
 use crate::lod::points_and_lines::pieces::{Form, Piece};
-use crate::lod::points_and_lines::sampling::{Splat, automatic, by_area, permutation, splats};
+use crate::lod::points_and_lines::sampling::{
+    ORDER, POINT_ORDER, Splat, automatic, by_area, permutation, splats,
+};
 use crate::lod::points_and_lines::selection::{POINTS_PER_TRIANGLE, PairOrder, Sampling};
 use crate::plant::mesh::triangle_area;
 use crate::plant::{Material, Mesh};
@@ -213,7 +215,7 @@ impl Making<'_> {
             order.into_iter().map(|at| pieces[at as usize]).collect()
         };
         let pieces = match class {
-            Class::Lines => pieces_of(permutation(input.seed, number, pieces.len())),
+            Class::Lines => pieces_of(permutation(input.seed, ORDER, number, pieces.len())),
             Class::Points | Class::Mesh => pieces.clone(),
         };
         let triangles: Vec<u32> =
@@ -276,7 +278,7 @@ impl Making<'_> {
     ) -> Result<(), LodError> {
         let input = self.input;
         let cover = &self.covers[input.parts[group.part as usize].material as usize];
-        let order = permutation(input.seed, number, triangles.len());
+        let order = permutation(input.seed, ORDER, number, triangles.len());
         let is_there = |&at: &u32| areas[at as usize] > 0.0;
         // what is nowhere opaque can only be drawn with all the others
         let (opaque, clear): (Vec<u32>, Vec<u32>) = order.into_iter().partition(is_there);
@@ -323,7 +325,7 @@ impl Making<'_> {
                 (0..wanted).step_by(2).chain((1..wanted).step_by(2)).collect()
             }
             (Sampling::Area, _) => {
-                let order = permutation(input.seed ^ 1, number, wanted);
+                let order = permutation(input.seed, POINT_ORDER, number, wanted);
                 order.into_iter().map(|at| at as usize).collect()
             }
         };

@@ -14,7 +14,12 @@ use crate::random::{Purpose, Stream};
 
 const PLACE: Purpose = Purpose::named("points_and_lines.place");
 const JITTER: Purpose = Purpose::named("points_and_lines.jitter");
-const SHUFFLE: Purpose = Purpose::named("points_and_lines.shuffle");
+
+/// The order of a group's triangles, or of its lines.
+pub const ORDER: Purpose = Purpose::named("points_and_lines.shuffle");
+
+/// The order of points that are no triangle's.
+pub const POINT_ORDER: Purpose = Purpose::named("points_and_lines.point_order");
 
 /// Largest coefficient of variation of the triangles' areas at which each of them gets two points.
 const MAX_VARIATION: f64 = 0.5;
@@ -46,9 +51,9 @@ pub fn automatic(areas: &[f64]) -> Sampling {
 }
 
 /// The order of `count` things, the same for the same seed and number.
-pub fn permutation(seed: u64, number: u64, count: usize) -> Vec<u32> {
+pub fn permutation(seed: u64, purpose: Purpose, number: u64, count: usize) -> Vec<u32> {
     let mut order: Vec<u32> = (0..u32::try_from(count).expect("counted in u32")).collect();
-    let mut stream = Stream::new(seed, SHUFFLE, number);
+    let mut stream = Stream::new(seed, purpose, number);
     for last in (1..count).rev() {
         let with = usize::try_from(stream.below(last as u64 + 1)).expect("below a usize");
         order.swap(last, with);
@@ -133,11 +138,12 @@ mod tests {
     #[test]
     fn permutations_are_what_they_say() {
         for count in [0, 1, 2, 1000] {
-            let mut order = permutation(7, 3, count);
-            assert_eq!(order, permutation(7, 3, count), "the same again");
+            let mut order = permutation(7, ORDER, 3, count);
+            assert_eq!(order, permutation(7, ORDER, 3, count), "the same again");
             if count == 1000 {
-                assert_ne!(order, permutation(8, 3, count), "another seed");
-                assert_ne!(order, permutation(7, 4, count), "another group");
+                assert_ne!(order, permutation(8, ORDER, 3, count), "another seed");
+                assert_ne!(order, permutation(7, ORDER, 4, count), "another group");
+                assert_ne!(order, permutation(7, POINT_ORDER, 3, count), "another purpose");
             }
             order.sort_unstable();
             assert!(order.iter().enumerate().all(|(i, &at)| i == at as usize), "{count} things");
