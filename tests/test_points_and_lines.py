@@ -3,11 +3,13 @@
 import math
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import treelod as tl
+from treelod import _core
 
 MODELS = os.environ.get("TREELOD_MODELS", "")
 needs_models = pytest.mark.skipif(not MODELS, reason="TREELOD_MODELS names no folder of plants")
@@ -312,3 +314,19 @@ def test_what_a_texture_leaves_out_is_no_leaf(path):
         opaque += (areas[own] * is_there.mean(axis=1)).sum()
     assert lod.parts[0].area == pytest.approx(opaque, rel=0.01)
     assert opaque < 0.95 * areas.sum(), "something is left out"
+
+
+def test_a_million_splats_on_one_pixel():
+    positions = np.zeros((1_000_000, 3), np.float32)
+    positions[0, 2] = 1e-3  # the nearest
+    colors = np.tile(np.float32([0.2, 0.4, 0.6]), (1_000_000, 1))
+    colors[0] = [0.9, 0.1, 0.1]
+    for size_px, pixel_count in ((1.0, 1), (3.0, 9)):
+        cloud = _core.cloud(positions, colors, lines=False, size_px=size_px)
+        scene = tl.Scene([(SimpleNamespace(_core=cloud), None)])
+        # the middle of an odd picture is the middle of a pixel
+        camera = tl.Camera.orthographic((0, 0, 5), (0, 0, 0), height=9, size=(9, 9))
+        for threads in (1, 3):
+            color = tl.render(scene, camera, samples=1, threads=threads).color
+            assert color[..., 3].sum() == pixel_count
+            np.testing.assert_array_equal(color[4, 4], np.float32([0.9, 0.1, 0.1, 1.0]))

@@ -436,9 +436,7 @@ fn awkward_crowns_are_drawn_from_everywhere() {
             (Class::Lines, None),
             (Class::Mesh, None),
         ] {
-            let drawing = Drawing { sample_distance_px: 3.0, ..FIXED };
             let params = Params {
-                drawing,
                 wishes: all_as(class),
                 sampling,
                 octree_depth: 2,
@@ -446,10 +444,20 @@ fn awkward_crowns_are_drawn_from_everywhere() {
                 ..params()
             };
             let lod = build(&plant(&leaves), &params);
-            for (from, view) in cameras() {
-                let frame = draw(&lod, &view);
-                let finite = frame.color.iter().all(|color| color.is_finite());
-                assert!(finite, "{name} as {class:?}, {from}");
+            let [fixed, fitted] = [SplatFactor::Fixed(1.0), SplatFactor::Coverage];
+            for (antialias, splat_factor, sample_distance_px) in [
+                (Antialias::Off, fixed, 3.0),
+                (Antialias::Off, fitted, 0.5),
+                (Antialias::Coverage, fitted, 0.5),
+                (Antialias::Blend, fitted, 0.5),
+            ] {
+                let drawing = Drawing { splat_factor, sample_distance_px, antialias };
+                let lod = lod.drawn(drawing, &Job::default()).expect("valid");
+                for (from, view) in cameras() {
+                    let frame = draw(&lod, &view);
+                    let finite = frame.color.iter().all(|color| color.is_finite());
+                    assert!(finite, "{name} as {class:?} and {antialias:?}, {from}");
+                }
             }
         }
     }
