@@ -7,7 +7,7 @@
 MATURIN := uvx --from 'maturin>=1.9.4,<2'
 # zig links against an old glibc, which the compiler of a new system does not.
 MATURIN_ZIG := $(MATURIN:uvx=uvx --with ziglang==0.17.*) maturin
-PYTHON_SOURCES := $(wildcard python tests benches notebooks)
+PYTHON_SOURCES := $(wildcard python tests docs benches notebooks)
 
 .DEFAULT_GOAL := all
 .PHONY: all setup build fmt lint lint-rust lint-python lint-stubs test bench demo wheel clean help

@@ -1,12 +1,14 @@
 """
 Measure and draw what the documents show of points and lines and of stochastic pruning.
 
-Run it from the project's root: ``uv run python docs/images/make_points_and_lines.py``, with the names
-of some of its jobs, or none for all. Real plants are files that `TREELOD_MODELS` says where to find.
+Run it from the project's root: ``uv run python docs/images/make_points_and_lines.py``, with the
+names of some of its jobs, or none for all. Real plants are files that `TREELOD_MODELS` says where
+to find.
 Figures are printed as they come; ``points_and_lines.png``, ``points_coverage.png``,
 ``points_transition.png``, ``points_sweep.png`` and ``stochastic_pruning.png`` are written.
 """
 
+import itertools
 import os
 import sys
 from pathlib import Path
@@ -58,7 +60,7 @@ def law() -> None:
     lod = tl.PointsAndLines.build(plant, wood=False, octree_depth=0, importance=1.0)
     center, radius = plant.sphere
     height, rows = float(2 * radius), 256
-    eye = tuple(np.asarray(center) + [0.0, 0.0, 4 * radius])
+    eye = tuple(np.asarray(center) + np.array([0.0, 0.0, 4 * radius]))
     camera = tl.Camera.orthographic(eye, tuple(center), height=height, size=(rows, rows))
     positions = lod._samples.samples[0][0]
     for spacing in (1.0, 2.0, 4.0):
@@ -117,7 +119,8 @@ def coverage() -> None:
                         f"{plant.name} {distance:g} radii, {label}: {ratios.mean():.3f}, "
                         f"worst {worst:.3f}, {points} points"
                     )
-        for (label, ratios), color in zip(lines.items(), ["C0", "C1", "C2", "C0", "C1", "C2"], strict=True):
+        colors = ["C0", "C1", "C2"] * 2
+        for (label, ratios), color in zip(lines.items(), colors, strict=True):
             style = "-" if label.startswith("split") else ":"
             axes.plot(DISTANCES, ratios, style, color=color, label=label)
         axes.axhline(1.0, color="black", linewidth=0.6)
@@ -154,7 +157,7 @@ def transition() -> None:
             for name, view in (("same camera", camera),):
                 jumps = [
                     tl.metrics.popping(a, b, view, samples=SAMPLES).flip
-                    for a, b in zip(levels, levels[1:], strict=False)
+                    for a, b in itertools.pairwise(levels)
                 ]
                 whole = tl.metrics.popping(levels[0], levels[10], view, samples=SAMPLES).flip
                 print(
@@ -245,7 +248,8 @@ def memory() -> None:
         mesh = tl.FullMesh.build(plant).footprint.geometry_bytes
         facts = lod.footprint
         print(
-            f"{plant.name}: mesh {mesh / 1e6:.2f} MB, {facts.points} points and {facts.lines} lines "
+            f"{plant.name}: mesh {mesh / 1e6:.2f} MB, "
+            f"{facts.points} points and {facts.lines} lines "
             f"{lod.sample_bytes / 1e6:.2f} MB: in all {facts.geometry_bytes / mesh:.2f} times"
         )
 

@@ -8,6 +8,7 @@ A criterion marks nodes of the hierarchy as the *zone of interest*. Combine crit
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -81,7 +82,7 @@ NodeFunction: TypeAlias = Callable[[Nodes, Camera], ArrayLike]
 
 
 @dataclass(frozen=True)
-class Criterion:
+class Criterion(ABC):
     """
     Which nodes are in the zone of interest; made by the functions of this module.
 
@@ -125,9 +126,9 @@ class Criterion:
         counts, depths = zip(*[part._extent for part in self.parts] or [(0, 0)], strict=True)
         return 1 + sum(counts), 1 + max(depths)
 
+    @abstractmethod
     def _core(self) -> tuple[Any, ...]:
         """Name and numbers, or name and parts, as the core takes them."""
-        raise NotImplementedError
 
 
 CriterionLike: TypeAlias = Criterion | NodeFunction
@@ -484,9 +485,6 @@ def criterion_from(value: CriterionLike) -> Criterion:
             msg = f"criterion must be made by calling {value!r}"
             raise TypeError(msg)
         return _Function(value)
-    if type(value) is Criterion:
-        msg = "criterion must be made by one of the functions of treelod.criteria"
-        raise TypeError(msg)
     return _checked(value)
 
 
