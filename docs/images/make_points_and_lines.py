@@ -17,10 +17,14 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from PIL import Image, ImageDraw, ImageFont
 
 import treelod as tl
 from treelod.color import composite, quantize, srgb_from_linear
+
+PANEL = 400
+"""Pixels a side of an enlarged picture: a whole plant from 6 radii, at two for each."""
 
 MODELS = Path(__file__).parents[3] / "shared" / "models"
 """Real plants, where `TREELOD_MODELS` says nothing."""
@@ -210,6 +214,9 @@ def sweep() -> None:
                 axes.plot([row[0] for row in rows], line, style, label=f"s = {factor}")
         for axes, name in zip(column, ("FLIP", "coverage bias"), strict=True):
             axes.set(xscale="log", ylabel=name, xlabel="vertices drawn")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 4)))
+            axes.xaxis.set_major_formatter(FuncFormatter(lambda count, _: f"{count / 1e3:g} K"))
+            axes.xaxis.set_minor_formatter(NullFormatter())
             axes.grid(alpha=0.3)
         column[1].axhline(0.0, color="black", linewidth=0.6)
         column[0].set_title(plant.name, fontsize=10)
@@ -259,21 +266,21 @@ def panel(lod: Any, camera: tl.Camera, zoom: int) -> Image.Image:
     color = tl.render(lod, camera, samples=SAMPLES).color
     image = quantize(srgb_from_linear(np.clip(composite(color, BACKGROUND), 0, 1)))
     height, width = image.shape[:2]
-    side = 300 // zoom
+    side = PANEL // zoom
     top, left = (height - side) // 2, (width - side) // 2
     part = Image.fromarray(image[top : top + side, left : left + side])
-    return part.resize((300, 300), Image.Resampling.NEAREST)
+    return part.resize((PANEL, PANEL), Image.Resampling.NEAREST)
 
 
 def sheet(panels: list[tuple[str, Image.Image]], columns: int) -> Image.Image:
     """Set panels in rows, each with its caption."""
     sky = quantize(srgb_from_linear(np.array(BACKGROUND)))
     rows = -(-len(panels) // columns)
-    image = Image.new("RGB", (columns * 300, rows * 330), tuple(sky.tolist()))
+    image = Image.new("RGB", (columns * PANEL, rows * (PANEL + 30)), tuple(sky.tolist()))
     draw = ImageDraw.Draw(image)
     font = ImageFont.load_default(size=14)
     for number, (caption, part) in enumerate(panels):
-        x, y = number % columns * 300, number // columns * 330
+        x, y = number % columns * PANEL, number // columns * (PANEL + 30)
         image.paste(part, (x, y + 30))
         draw.text((x + 6, y + 8), caption, fill=(20, 30, 40), font=font)
     return image.quantize(192, dither=Image.Dither.NONE)
@@ -331,7 +338,7 @@ def pruning() -> None:
                 f"{3 * frames[0].stats.triangles + frames[0].stats.points}, "
                 f"{np.median([frame.stats.frame_millis for frame in frames]):.1f} ms"
             )
-    camera = tl.orbit(plant, count=8, elevation_deg=8, distance=5.0, size=(480, 480))[1]
+    camera = tl.orbit(plant, count=8, elevation_deg=8, distance=6.0, size=(480, 480))[1]
     lod = pruned["with contrast"]
     panels = [("mesh", panel(full, camera, 2))]
     for share in (0.5, 0.2, 0.05):
