@@ -39,7 +39,6 @@ __all__ = [
     "split_plant",
     "stochastic_pruning",
     "stored_hierarchy",
-    "stored_note",
     "time_naive",
     "vector_peak",
 ]
@@ -325,7 +324,7 @@ def collapse_leaves(
 class FoliageHierarchy:
     def representation(self) -> Representation: ...
     def with_selection(self, selection: dict[str, Any]) -> FoliageHierarchy: ...
-    def forest(self) -> tuple[dict[str, Any], int, float]: ...
+    def forest(self) -> dict[str, Any]: ...
     def stored(self, plant: bytes, note: bytes) -> bytes: ...
     @property
     def leaf_count(self) -> int: ...
@@ -344,21 +343,13 @@ def foliage_hierarchy(
     collapse: dict[str, Any],
     facts: dict[str, Any],
     *,
+    keep_coverage: bool,
     threads: int | None,
     progress: Callable[[int, int], object] | None,
-) -> FoliageHierarchy: ...
-def stored_note(bytes: bytes, plant: bytes) -> bytes: ...
+) -> tuple[FoliageHierarchy, int, float]: ...
 def stored_hierarchy(
-    plant: Plant,
-    bytes: bytes,
-    digest: bytes,
-    collapse: dict[str, Any],
-    facts: dict[str, Any],
-    *,
-    cost_count: int,
-    d_ref: float,
-    threads: int | None,
-) -> FoliageHierarchy: ...
+    plant: Plant, bytes: bytes, digest: bytes, facts: dict[str, Any], *, threads: int | None
+) -> tuple[FoliageHierarchy, bytes]: ...
 def plane_misses(
     centers: _F32,
     normals: _F32,

@@ -80,6 +80,12 @@ pub enum Selection {
     },
 }
 
+impl Drawing {
+    fn check(&self) -> Result<(), LodError> {
+        check_in("wood_error_px", self.wood_error_px, 0.0..=1e6)
+    }
+}
+
 impl Selection {
     /// Whether its numbers are in range, as far as that can be told without a plant.
     ///
@@ -94,13 +100,20 @@ impl Selection {
     }
 }
 
-/// What a hierarchy is built and drawn with, besides how its leaves collapse.
+/// What a hierarchy is built with.
 #[derive(Debug, Clone)]
 pub struct Params {
     /// How leaves collapse.
     pub collapse: CollapseParams,
     /// Whether nodes are scaled further, so that crowns at every level cover what all leaves cover.
     pub keep_coverage: bool,
+    /// How it is drawn.
+    pub drawing: Drawing,
+}
+
+/// How a hierarchy is drawn, whatever is selected.
+#[derive(Debug, Clone)]
+pub struct Drawing {
     /// How textures are read.
     pub filter: Filter,
     /// Which wood is drawn.
@@ -109,6 +122,15 @@ pub struct Params {
     pub has_wood_levels: bool,
     /// By how many pixels simplified wood may be off, where no fixed level is drawn.
     pub wood_error_px: f64,
+}
+
+/// What it took to collapse a plant's leaves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Effort {
+    /// Costs that were computed.
+    pub cost_count: u64,
+    /// Distance at which two parallel leaves cost 1, in metres.
+    pub d_ref: f64,
 }
 
 /// A plant whose leaves collapse, and what of it is drawn.
@@ -128,8 +150,6 @@ struct Built {
     /// Shared with criteria that ask the caller.
     forest: Arc<Forest>,
     order: DepthFirst,
-    cost_count: u64,
-    d_ref: f64,
     /// Area of all leaves, in square metres.
     area: f64,
     /// Around the quads of all leaves, relative to the plant's origin. Nodes made late reach far
@@ -178,20 +198,21 @@ impl FoliageHierarchy {
     /// # Errors
     /// [`LodError::Empty`] if the plant has no leaves; a parameter out of range; [`LodError::Limit`];
     /// [`LodError::Cancelled`].
-    pub fn build(plant: &Plant, params: &Params, job: &Job) -> Result<Self, LodError> {
-        check_in("wood_error_px", params.wood_error_px, 0.0..=1e6)?;
+    pub fn build(plant: &Plant, params: &Params, job: &Job) -> Result<(Self, Effort), LodError> {
+        let drawing = &params.drawing;
+        drawing.check()?;
         let quads = quads_of(plant, job)?;
         let corners: Vec<[Vec3; 4]> = quads.iter().map(|quad| quad.corners).collect();
         let areas: Vec<f64> = plant.foliage.areas.iter().map(|&area| f64::from(area)).collect();
         let Collapsed { mut forest, rule, cost_count } =
             collapse(&corners, &areas, &params.collapse, job)?;
-        let vertices = vertices_of(plant, &forest, &quads, params.filter, job)?;
+        let vertices = vertices_of(plant, &forest, &quads, drawing.filter, job)?;
         drop(quads);
         if params.keep_coverage {
             keep_coverage(&mut forest, &vertices, plant, job)?;
         }
-        let made = Made { forest, cost_count, d_ref: rule.d_ref };
-        Self::new(plant, vertices, made, params, job)
+        let built = Self::new(plant, vertices, forest, drawing, job)?;
+        Ok((built, Effort { cost_count, d_ref: rule.d_ref }))
     }
 
     /// Draws a plant with a forest that was made of it before.
@@ -200,32 +221,31 @@ impl FoliageHierarchy {
     /// As [`FoliageHierarchy::build`]; [`LodError::Invalid`] if the forest is of other leaves.
     pub fn from_forest(
         plant: &Plant,
-        made: Made,
-        params: &Params,
+        forest: Forest,
+        drawing: &Drawing,
         job: &Job,
     ) -> Result<Self, LodError> {
-        check_in("wood_error_px", params.wood_error_px, 0.0..=1e6)?;
+        drawing.check()?;
         let quads = quads_of(plant, job)?;
         let corners = quads.iter().flat_map(|quad| quad.corners);
-        if !corners.eq(made.forest.positions.iter().copied()) {
+        if !corners.eq(forest.positions.iter().copied()) {
             let why = "the hierarchy was made of other leaves than this plant's".to_owned();
             return Err(LodError::Invalid { name: "plant", why });
         }
-        let vertices = vertices_of(plant, &made.forest, &quads, params.filter, job)?;
-        Self::new(plant, vertices, made, params, job)
+        let vertices = vertices_of(plant, &forest, &quads, drawing.filter, job)?;
+        Self::new(plant, vertices, forest, drawing, job)
     }
 
     fn new(
         plant: &Plant,
         vertices: NodeVertices,
-        made: Made,
-        params: &Params,
+        forest: Forest,
+        drawing: &Drawing,
         job: &Job,
     ) -> Result<Self, LodError> {
-        let Made { forest, cost_count, d_ref } = made;
-        let max_level_count = if params.has_wood_levels { usize::MAX } else { 1 };
+        let max_level_count = if drawing.has_wood_levels { usize::MAX } else { 1 };
         let materials = &vertices.materials;
-        let wood = WoodLevels::build(plant, params.wood, max_level_count, materials, job)?;
+        let wood = WoodLevels::build(plant, drawing.wood, max_level_count, materials, job)?;
         let drawn = vertices.freeze(&forest, job)?;
         let leaf_count = forest.leaf_count as usize;
         let (low, high) = drawn.bounds(leaf_count);
@@ -234,8 +254,6 @@ impl FoliageHierarchy {
             order: DepthFirst::new(&forest),
             area: forest.roots().map(|root| forest.areas[root as usize]).sum(),
             forest: Arc::new(forest),
-            cost_count,
-            d_ref,
             ball: (middle, (high - low).length() * 0.5),
             quads: drawn,
             wood,
@@ -246,8 +264,8 @@ impl FoliageHierarchy {
             bounds: built.bounds(&selection),
             built: Arc::new(built),
             selection,
-            has_wood_levels: params.has_wood_levels,
-            wood_error_px: params.wood_error_px,
+            has_wood_levels: drawing.has_wood_levels,
+            wood_error_px: drawing.wood_error_px,
         })
     }
 
@@ -273,16 +291,6 @@ impl FoliageHierarchy {
     /// The forest in depth-first order.
     pub fn order(&self) -> &DepthFirst {
         &self.built.order
-    }
-
-    /// Costs that were computed while collapsing.
-    pub fn cost_count(&self) -> u64 {
-        self.built.cost_count
-    }
-
-    /// Distance at which two parallel leaves cost 1, in metres.
-    pub fn d_ref(&self) -> f64 {
-        self.built.d_ref
     }
 
     /// The wood's levels.
@@ -375,17 +383,6 @@ impl FoliageHierarchy {
         let count = count.min(most as f64) as usize;
         count.max(fewest)
     }
-}
-
-/// A forest, and what it took to make it.
-#[derive(Debug, Clone)]
-pub struct Made {
-    /// What leaves collapse into.
-    pub forest: Forest,
-    /// Costs that were computed.
-    pub cost_count: u64,
-    /// Metres.
-    pub d_ref: f64,
 }
 
 fn quads_of(plant: &Plant, job: &Job) -> Result<Vec<LeafQuad>, LodError> {

@@ -16,16 +16,15 @@ use super::view::CameraFacts;
 use crate::error::{check_in, check_limit};
 use crate::lod::foliage_hierarchy::cut::Steps;
 use crate::lod::foliage_hierarchy::forest::Forest;
-use crate::lod::foliage_hierarchy::stored;
-use crate::lod::foliage_hierarchy::{self as core, Made, Params, Selection};
+use crate::lod::foliage_hierarchy::stored::{self, Stored};
+use crate::lod::foliage_hierarchy::{self as core, Drawing, Effort, Params, Selection};
 use crate::lod::{Crown, Representation as _};
 use crate::view_state::ViewState;
 
-/// Parameters as the Python face states them, besides how leaves collapse.
+/// How it is drawn, as the Python face states it.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub(super) struct HierarchyFacts<'py> {
-    keep_coverage: bool,
     selection: SelectionFacts<'py>,
     filter: String,
     wood: bool,
@@ -60,10 +59,8 @@ impl SelectionFacts<'_> {
 }
 
 impl HierarchyFacts<'_> {
-    fn params(&self, collapse: &CollapseFacts) -> PyResult<Params> {
-        Ok(Params {
-            collapse: collapse.params()?,
-            keep_coverage: self.keep_coverage,
+    fn drawing(&self) -> PyResult<Drawing> {
+        Ok(Drawing {
             filter: filter_from(&self.filter)?,
             wood: wood_from(self.wood, self.wood_triangle_count),
             has_wood_levels: self.wood_levels,
@@ -91,10 +88,9 @@ impl FoliageHierarchy {
         Ok(Self { inner: self.inner.with_selection(selection)? })
     }
 
-    /// The forest's arrays, with how many costs were computed and the `d_ref` in use.
-    fn forest<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyDict>, u64, f64)> {
-        let arrays = forest_arrays(py, self.inner.forest(), self.inner.origin())?;
-        Ok((arrays, self.inner.cost_count(), self.inner.d_ref()))
+    /// The forest's arrays.
+    fn forest<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        forest_arrays(py, self.inner.forest(), self.inner.origin())
     }
 
     /// The forest as bytes, with 32 bytes that name its plant, and a note.
@@ -175,61 +171,48 @@ fn step_facts<'py>(py: Python<'py>, steps: &Steps) -> PyResult<Bound<'py, PyDict
     Ok(facts)
 }
 
-/// Collapses a plant's leaves.
+/// Collapses a plant's leaves; with how many costs were computed and the `d_ref` in use.
 #[pyfunction]
-#[pyo3(signature = (plant, collapse, facts, *, threads, progress))]
+#[pyo3(signature = (plant, collapse, facts, *, keep_coverage, threads, progress))]
 pub(super) fn foliage_hierarchy(
     py: Python<'_>,
     plant: &Plant,
     collapse: CollapseFacts,
     facts: HierarchyFacts<'_>,
+    keep_coverage: bool,
     threads: Option<usize>,
     progress: Option<Py<PyAny>>,
-) -> PyResult<FoliageHierarchy> {
+) -> PyResult<(FoliageHierarchy, u64, f64)> {
     let plant = Arc::clone(&plant.inner);
-    let params = facts.params(&collapse)?;
+    let params = Params { collapse: collapse.params()?, keep_coverage, drawing: facts.drawing()? };
     // refused before the work begins; the criterion is made again for the forest that it serves
     facts.selection.selection(&Arc::default(), plant.origin)?.check()?;
     if let Some(leaf_count) = facts.selection.leaf_count {
         check_in("leaf_count", leaf_count, 1..=plant.foliage.leaf_count().max(1))?;
     }
-    let inner =
+    let (inner, Effort { cost_count, d_ref }) =
         run(py, threads, progress, move |job| core::FoliageHierarchy::build(&plant, &params, job))?;
-    FoliageHierarchy { inner }.with_selection(facts.selection)
+    let selected = FoliageHierarchy { inner }.with_selection(facts.selection)?;
+    Ok((selected, cost_count, d_ref))
 }
 
-/// The note of a stored forest, which must be of the plant that 32 bytes name.
+/// A hierarchy whose forest was stored, for the plant that it was made of, and the note beside it.
 #[pyfunction]
-pub(super) fn stored_note<'py>(
+#[pyo3(signature = (plant, bytes, digest, facts, *, threads))]
+pub(super) fn stored_hierarchy<'py>(
     py: Python<'py>,
-    bytes: &[u8],
-    plant: [u8; 32],
-) -> PyResult<Bound<'py, PyBytes>> {
-    let note = run(py, None, None, |_| Ok(stored::read(bytes, Some(&plant))?.note))?;
-    Ok(PyBytes::new(py, &note))
-}
-
-/// A hierarchy whose forest was stored, for the plant that it was made of.
-#[pyfunction]
-#[pyo3(signature = (plant, bytes, digest, collapse, facts, *, cost_count, d_ref, threads))]
-#[expect(clippy::too_many_arguments, reason = "called from one place, by its Python face")]
-pub(super) fn stored_hierarchy(
-    py: Python<'_>,
     plant: &Plant,
     bytes: &[u8],
     digest: [u8; 32],
-    collapse: CollapseFacts,
     facts: HierarchyFacts<'_>,
-    cost_count: u64,
-    d_ref: f64,
     threads: Option<usize>,
-) -> PyResult<FoliageHierarchy> {
+) -> PyResult<(FoliageHierarchy, Bound<'py, PyBytes>)> {
     let plant = Arc::clone(&plant.inner);
-    let params = facts.params(&collapse)?;
-    let inner = run(py, threads, None, move |job| {
-        let forest = stored::read(bytes, Some(&digest))?.forest;
-        let made = Made { forest, cost_count, d_ref };
-        core::FoliageHierarchy::from_forest(&plant, made, &params, job)
+    let drawing = facts.drawing()?;
+    let (inner, note) = run(py, threads, None, move |job| {
+        let Stored { forest, note, .. } = stored::read(bytes, Some(&digest))?;
+        Ok((core::FoliageHierarchy::from_forest(&plant, forest, &drawing, job)?, note))
     })?;
-    FoliageHierarchy { inner }.with_selection(facts.selection)
+    let selected = FoliageHierarchy { inner }.with_selection(facts.selection)?;
+    Ok((selected, PyBytes::new(py, &note)))
 }

@@ -91,9 +91,7 @@ mod _core {
     #[pymodule_export]
     use super::criteria::{_cut_for_test, cut_times};
     #[pymodule_export]
-    use super::foliage_hierarchy::{
-        FoliageHierarchy, foliage_hierarchy, stored_hierarchy, stored_note,
-    };
+    use super::foliage_hierarchy::{FoliageHierarchy, foliage_hierarchy, stored_hierarchy};
     #[pymodule_export]
     use super::grow::{grow, preset_names};
     #[pymodule_export]

@@ -95,9 +95,11 @@ class FoliageHierarchy(Technique):
         params: Mapping[str, Any],
         build_secs: float,
         plant_digest: bytes,
+        effort: tuple[int, float],
     ) -> None:
         super().__init__(hierarchy.representation(), params, build_secs)
         self._plant_digest = plant_digest
+        self._effort = effort
         self._hierarchy = hierarchy
         self._forest: LeafForest | None = None
         self.leaf_count: int = hierarchy.leaf_count
@@ -110,8 +112,10 @@ class FoliageHierarchy(Technique):
     def forest(self) -> LeafForest:
         """The leaves and what they collapse into, with the cost of every collapse."""
         if self._forest is None:
-            arrays, cost_count, d_ref = self._hierarchy.forest()
-            self._forest = LeafForest(**arrays, cost_count=cost_count, d_ref=d_ref)
+            cost_count, d_ref = self._effort
+            self._forest = LeafForest(
+                **self._hierarchy.forest(), cost_count=cost_count, d_ref=d_ref
+            )
         return self._forest
 
     def at(self, *, leaf_count: int) -> FoliageHierarchy:
@@ -201,7 +205,7 @@ class FoliageHierarchy(Technique):
         hierarchy = self._hierarchy.with_selection(_as_core_takes_it(selection))
         secs = self.build_secs + time.perf_counter() - start
         params = {**self.params, **selection}
-        changed = FoliageHierarchy(hierarchy, params, secs, self._plant_digest)
+        changed = FoliageHierarchy(hierarchy, params, secs, self._plant_digest, self._effort)
         changed._forest = self._forest
         return changed
 
@@ -362,26 +366,26 @@ class FoliageHierarchy(Technique):
             criterion=criterion,
             rule=rule,
         )
-        drawn = {
-            "keep_coverage": flag("keep_coverage", keep_coverage),
-            **_drawn(
-                filter=filter,
-                wood=wood,
-                wood_triangle_count=wood_triangle_count,
-                wood_levels=wood_levels,
-                wood_error_px=wood_error_px,
-            ),
-        }
+        drawn = _drawn(
+            filter=filter,
+            wood=wood,
+            wood_triangle_count=wood_triangle_count,
+            wood_levels=wood_levels,
+            wood_error_px=wood_error_px,
+        )
+        keeps_coverage = flag("keep_coverage", keep_coverage)
         start = time.perf_counter()
-        hierarchy = _core.foliage_hierarchy(
+        hierarchy, cost_count, d_ref_used = _core.foliage_hierarchy(
             core_of(plant),
             collapse,
             {"selection": _as_core_takes_it(selection), **drawn},
+            keep_coverage=keeps_coverage,
             threads=thread_count(threads),
             progress=progress,
         )
         secs = time.perf_counter() - start
-        return cls(hierarchy, {**collapse, **selection, **drawn}, secs, _digest(plant))
+        params = {**collapse, "keep_coverage": keeps_coverage, **selection, **drawn}
+        return cls(hierarchy, params, secs, _digest(plant), (cost_count, d_ref_used))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """
@@ -400,9 +404,9 @@ class FoliageHierarchy(Technique):
         OSError
             If it cannot be written.
         """
-        forest = self.forest
+        cost_count, d_ref = self._effort
         note = {name: self.params[name] for name in BUILT_WITH}
-        note |= {"cost_count": forest.cost_count, "d_ref_used": forest.d_ref}
+        note |= {"cost_count": cost_count, "d_ref_used": d_ref}
         atomic_write(path, self._hierarchy.stored(self._plant_digest, json.dumps(note).encode()))
 
     @classmethod
@@ -467,21 +471,17 @@ class FoliageHierarchy(Technique):
         start = time.perf_counter()
         stored = Path(path).read_bytes()
         digest = _digest(plant)
-        note = _note(_core.stored_note(stored, digest))
-        built = {name: note[name] for name in BUILT_WITH}
-        drawn = {"keep_coverage": built.pop("keep_coverage"), **drawn}
-        hierarchy = _core.stored_hierarchy(
+        hierarchy, found = _core.stored_hierarchy(
             core_of(plant),
             stored,
             digest,
-            built,
             {"selection": _as_core_takes_it(selection), **drawn},
-            cost_count=note["cost_count"],
-            d_ref=note["d_ref_used"],
             threads=thread_count(threads),
         )
+        note = _note(found)
         secs = time.perf_counter() - start
-        return cls(hierarchy, {**built, **selection, **drawn}, secs, digest)
+        params = {**{name: note[name] for name in BUILT_WITH}, **selection, **drawn}
+        return cls(hierarchy, params, secs, digest, (note["cost_count"], note["d_ref_used"]))
 
 
 BUILT_WITH = (
