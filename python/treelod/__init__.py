@@ -22,6 +22,8 @@ from treelod.errors import (
     NoAdapterError,
     PlantFileError,
     StoreError,
+    SweepError,
+    SweepWarning,
     TreelodError,
 )
 from treelod.plants import Foliage, Lighting, Material, Mesh, Plant, grow_plant, load_plant
@@ -38,7 +40,8 @@ from treelod.techniques import (
 )
 
 if TYPE_CHECKING:
-    from treelod import metrics, walks
+    from treelod import metrics, plots, walks
+    from treelod.sweeps import SweepResults, crossed, load_results, sweep, zipped
 
 __all__ = [
     "Camera",
@@ -66,30 +69,43 @@ __all__ = [
     "Slicings",
     "StochasticPruning",
     "StoreError",
+    "SweepError",
+    "SweepResults",
+    "SweepWarning",
     "TreelodError",
     "ViewState",
     "__version__",
     "cluster_leaves",
     "collapse_leaves",
     "criteria",
+    "crossed",
     "grow_plant",
     "load_plant",
+    "load_results",
     "metrics",
     "orbit",
     "plane_misses",
+    "plots",
     "render",
     "scatter",
+    "sweep",
     "time_frames",
     "walks",
+    "zipped",
 ]
 
-_HEAVY = {"metrics", "walks"}
+_HEAVY = {"metrics", "plots", "walks"}
 """Modules that import large libraries: imported at their first use, `tl.metrics` included."""
+
+_SWEEPS = {"SweepResults", "crossed", "load_results", "sweep", "zipped"}
+"""Names of `treelod.sweeps`, which imports large libraries too."""
 
 
 def __getattr__(name: str) -> Any:
     if name in _HEAVY:
         return importlib.import_module(f"treelod.{name}")
+    if name in _SWEEPS:
+        return getattr(importlib.import_module("treelod.sweeps"), name)
     msg = f"module 'treelod' has no attribute {name!r}"
     raise AttributeError(msg)
 

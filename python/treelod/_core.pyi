@@ -35,6 +35,7 @@ __all__ = [
     "simplified_mesh",
     "slicings",
     "smooth_normals",
+    "source_hash",
     "sphere_directions",
     "split_plant",
     "stochastic_pruning",
@@ -71,6 +72,16 @@ class _MeshArrays(TypedDict):
     triangles: _U32
     material_ids: _U32
 
+class _StructureArrays(TypedDict):
+    parents: NDArray[np.int64]
+    levels: _U32
+    starts: _F32
+    ends: _F32
+    radii: _F32
+    wood_triangles: _U32
+    leaves: _U32
+    leaf_branches: _U32
+
 class _LitMeshArrays(TypedDict):
     positions: _F32
     normals: _F32
@@ -83,6 +94,7 @@ class _LitMeshArrays(TypedDict):
 
 __version__: Final[str]
 build_profile: Final[str]
+source_hash: Final[str]
 
 @final
 class Plant:
@@ -95,6 +107,7 @@ class Plant:
         foliage: _MeshArrays,
         leaf_offsets: _U32,
         lighting: _LightingFacts,
+        structure: _StructureArrays | None = None,
     ) -> Plant: ...
     def lit(
         self,
@@ -123,6 +136,8 @@ class Plant:
     def foliage(self) -> _LitMeshArrays: ...
     @property
     def leaves(self) -> tuple[_U32, _F32, _F32, _F32]: ...
+    @property
+    def structure(self) -> _StructureArrays | None: ...
     def leaf_rectangles(self) -> NDArray[np.float64]: ...
 
 def grow(

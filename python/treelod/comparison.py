@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Progress",
     "compare_techniques",
+    "error_frames",
     "tinted",
 ]
 
@@ -135,12 +136,14 @@ def compare_techniques(
         truth = render(full, view.camera, samples=reference_samples, threads=threads)
         report("reference frames", view.index + 1, len(views))
         for position, (label, technique) in enumerate(built.items()):
-            quick = render(technique, view.camera, samples=samples, threads=threads)
-            if technique is full:
-                frame, frame_samples = quick, samples
-            else:
-                frame = render(technique, view.camera, samples=reference_samples, threads=threads)
-                frame_samples = reference_samples
+            quick, frame, frame_samples = error_frames(
+                technique,
+                view.camera,
+                samples=samples,
+                # the yardstick's error is aliasing alone
+                reference_samples=samples if technique is full else reference_samples,
+                threads=threads,
+            )
             errors = metrics.compare(truth, frame, ppd=ppd, yee=yee)
             measured[label, view.index] = errors, frame_samples, quick.stats
             reasons = [why for why, index in keep.items() if index == view.index]
@@ -211,6 +214,44 @@ def compare_techniques(
         source=dict(source or {}),
         provenance=provenance(),
     )
+
+
+def error_frames(
+    technique: Technique,
+    camera: Camera,
+    *,
+    samples: int,
+    reference_samples: int,
+    threads: int | None,
+) -> tuple[Frame, Frame, int]:
+    """
+    Draw the frame that is timed, and the one whose error is the technique's.
+
+    Parameters
+    ----------
+    technique : Technique
+        What to draw.
+    camera : Camera
+        From where.
+    samples : int
+        Samples a pixel of frames that are timed.
+    reference_samples : int
+        Samples a pixel of the frame that is measured. If it equals `samples`, one frame is both.
+    threads : int or None
+        Threads that draw.
+
+    Returns
+    -------
+    quick, frame : Frame
+        As it is timed, and as it is measured.
+    error_samples : int
+        Samples a pixel of the latter.
+    """
+    quick = render(technique, camera, samples=samples, threads=threads)
+    if reference_samples == samples:
+        return quick, quick, samples
+    frame = render(technique, camera, samples=reference_samples, threads=threads)
+    return quick, frame, reference_samples
 
 
 def tinted(plant: Plant) -> Plant:

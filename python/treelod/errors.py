@@ -13,6 +13,8 @@ __all__ = [
     "NoAdapterError",
     "PlantFileError",
     "StoreError",
+    "SweepError",
+    "SweepWarning",
     "TreelodError",
 ]
 
@@ -47,3 +49,11 @@ class StoreError(TreelodError):
 
 class InternalError(TreelodError, RuntimeError):
     """A bug in treelod: please report it, with the message."""
+
+
+class SweepError(TreelodError, RuntimeError):
+    """A cell of a sweep failed, or nobody is left to run them; what is done is stored."""
+
+
+class SweepWarning(UserWarning):
+    """A file of a store is skipped, or cells of a sweep have no row."""

@@ -7,7 +7,6 @@ plain columns, so that tables of different runs can be joined and still be told 
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +14,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+
+from treelod.columns import (
+    bake_columns,
+    count_columns,
+    error_columns,
+    provenance_columns,
+    source_columns,
+    summarised,
+    time_columns,
+    typed,
+    view_columns,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,17 +37,6 @@ if TYPE_CHECKING:
     from treelod.techniques import Footprint
 
 __all__ = ["Bake", "Comparison", "Picture", "Row", "View"]
-
-_OPTIONAL_FLOATS = (
-    "ssim",
-    "ssim_black",
-    "ssim_white",
-    "yee",
-    "coverage_bias",
-    "coverage_error",
-    "fov_y_deg",
-    "ortho_height",
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -239,23 +239,24 @@ class Comparison:
             for row in self.rows
             if row.label == self.reference_label
         }
-        constants = self._constants()
+        constants = {
+            **self.settings,
+            **source_columns(self.source),
+            **provenance_columns(self.provenance),
+        }
         records = [
             {
                 "plant": self.plant["name"],
-                **_bake_columns(bakes[row.label]),
-                **_view_columns(row.view),
-                **_error_columns(row),
-                **_time_columns(row, base_millis[row.view.index]),
+                **bake_columns(bakes[row.label]),
+                **view_columns(row.view),
+                **error_columns(row.errors, row.error_samples),
+                **time_columns(row.frame_millis, base_millis[row.view.index]),
+                **count_columns(row.stats),
                 **constants,
             }
             for row in self.rows
         ]
-        table = pd.DataFrame.from_records(records)
-        # a column without any value still has the type it has elsewhere, so files can be joined
-        for name in _OPTIONAL_FLOATS:
-            table[name] = table[name].astype("float64")
-        return table.astype({"seed": "Int64", "git_commit": "string", "plant_sha256": "string"})
+        return typed(pd.DataFrame.from_records(records))
 
     def summary(self, by: Sequence[str] = ()) -> pd.DataFrame:
         """
@@ -273,132 +274,4 @@ class Comparison:
             (``_worst`` for the worst view), medians over views for times; ``speedup`` is the full
             mesh's median over the technique's.
         """
-        table = self.table()
-        keys = ["label", *by]
-        groups = table.groupby(keys, sort=False)
-        summary = groups.agg(
-            flip=("flip", "mean"),
-            flip_worst=("flip", "max"),
-            rmse=("rmse", "mean"),
-            psnr_worst=("psnr", "min"),
-            ssim=("ssim", "mean"),
-            coverage_bias=("coverage_bias", "mean"),
-            coverage_error=("coverage_error", "mean"),
-            frame_millis=("frame_millis", "median"),
-            frame_millis_q25=("frame_millis_q25", "median"),
-            frame_millis_q75=("frame_millis_q75", "median"),
-            build_secs=("build_secs", "first"),
-            triangles=("triangles", "first"),
-            cards=("cards", "first"),
-            lines=("lines", "first"),
-            points=("points", "first"),
-            geometry_bytes=("geometry_bytes", "first"),
-            texture_bytes=("texture_bytes", "first"),
-            total_bytes=("total_bytes", "first"),
-            views=("view", "count"),
-        )
-        summary = summary.reset_index()
-        # every technique has the same groups, in the same order, the full mesh first
-        group_count = len(summary) // len(self.bakes)
-        base_millis = np.tile(summary["frame_millis"].to_numpy()[:group_count], len(self.bakes))
-        # of the times beside it: a median of the views' own ratios can contradict them
-        summary["speedup"] = base_millis / summary["frame_millis"]
-        return summary
-
-    def _constants(self) -> dict[str, Any]:
-        made = self.provenance
-        versions = {f"{name.replace('-', '_')}_version": v for name, v in made.packages.items()}
-        return {
-            **self.settings,
-            "source": json.dumps(self.source, sort_keys=True),
-            "plant_sha256": self.source.get("sha256"),
-            "seed": self.source.get("seed"),
-            "treelod_version": made.treelod,
-            "git_commit": made.git_commit,
-            "build_profile": made.build_profile,
-            **versions,
-            "python_version": made.python,
-            "platform": made.platform,
-            "cpu": made.cpu,
-            "core_count": made.core_count,
-            "date": made.date,
-        }
-
-
-def _bake_columns(bake: Bake) -> dict[str, Any]:
-    footprint = bake.footprint
-    return {
-        "label": bake.label,
-        "technique": bake.technique,
-        "params": json.dumps(bake.params, sort_keys=True, default=str),
-        "build_secs": bake.build_secs,
-        "triangles": footprint.triangles,
-        "cards": footprint.cards,
-        "lines": footprint.lines,
-        "points": footprint.points,
-        "geometry_bytes": footprint.geometry_bytes,
-        "texture_bytes": footprint.texture_bytes,
-        "total_bytes": footprint.total_bytes,
-    }
-
-
-def _view_columns(view: View) -> dict[str, Any]:
-    camera = view.camera
-    columns: dict[str, Any] = {
-        "view": view.index,
-        "azimuth_deg": view.azimuth_deg,
-        "elevation_deg": view.elevation_deg,
-        "distance": view.distance,
-        "width": camera.size[0],
-        "height": camera.size[1],
-        "fov_y_deg": camera.fov_y_deg,
-        "ortho_height": camera.height,
-        "near": camera.near,
-    }
-    for name in ("eye", "target", "up"):
-        for axis, value in zip("xyz", getattr(camera, name), strict=True):
-            columns[f"{name}_{axis}"] = value
-    return columns
-
-
-def _error_columns(row: Row) -> dict[str, Any]:
-    errors = row.errors
-    columns: dict[str, Any] = {
-        "flip": errors.flip,
-        "rmse": errors.rmse,
-        "psnr": errors.psnr,
-        "max_error": errors.max,
-        "ssim": errors.ssim,
-        "yee": errors.yee,
-        "coverage_bias": errors.coverage_bias,
-        "coverage_error": errors.coverage_error,
-        "error_samples": row.error_samples,
-    }
-    for background, on in errors.on.items():
-        columns[f"flip_{background}"] = on.flip
-        columns[f"rmse_{background}"] = on.rmse
-        columns[f"psnr_{background}"] = on.psnr
-        columns[f"ssim_{background}"] = on.ssim
-    names = ("region_left", "region_top", "region_right", "region_bottom")
-    columns.update(zip(names, errors.region, strict=True))
-    return columns
-
-
-def _time_columns(row: Row, base_millis: float) -> dict[str, Any]:
-    millis = row.frame_millis
-    q25, median, q75 = np.quantile(millis, [0.25, 0.5, 0.75])
-    stats = row.stats
-    return {
-        "frame_millis": float(median),
-        "frame_millis_q25": float(q25),
-        "frame_millis_q75": float(q75),
-        "frame_millis_min": float(millis.min()),
-        "frame_millis_max": float(millis.max()),
-        "speedup": base_millis / float(median),
-        "drawn_triangles": stats.triangles,
-        "drawn_cards": stats.cards,
-        "drawn_lines": stats.lines,
-        "drawn_points": stats.points,
-        "drawn_vertices": stats.vertices,
-        "fragments": stats.fragments,
-    }
+        return summarised(self.table(), by, reference_label=self.reference_label)

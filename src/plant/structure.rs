@@ -8,6 +8,8 @@ use std::ops::Range;
 
 use glam::Vec3;
 
+use crate::error::{LodError, check_finite};
+
 /// One stem, from where it leaves its parent to its tip.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Branch {
@@ -37,6 +39,37 @@ pub struct Structure {
 }
 
 impl Structure {
+    /// Refuses branches that do not lie in order, or that own what a plant does not have.
+    ///
+    /// # Errors
+    /// [`LodError::Invalid`], [`LodError::NotFinite`].
+    pub fn check(&self, wood_triangle_count: usize, leaf_count: usize) -> Result<(), LodError> {
+        let wrong = |why: String| Err(LodError::Invalid { name: "structure", why });
+        for (id, branch) in self.branches.iter().enumerate() {
+            if branch.parent.is_some_and(|parent| parent as usize >= id) {
+                return wrong(format!("branch {id} comes before its parent"));
+            }
+            for (what, range, count) in [
+                ("wood triangles", &branch.wood_triangles, wood_triangle_count),
+                ("leaves", &branch.leaves, leaf_count),
+            ] {
+                if range.start > range.end || range.end as usize > count {
+                    return wrong(format!("branch {id} has {what} {range:?} of {count}"));
+                }
+            }
+            check_finite("structure", &[branch.start, branch.end, Vec3::splat(branch.radius)])?;
+        }
+        if self.leaf_branches.len() != leaf_count {
+            let count = self.leaf_branches.len();
+            return wrong(format!("leaf_branches has {count} values for {leaf_count} leaves"));
+        }
+        let is_known = |&branch: &u32| (branch as usize) < self.branches.len();
+        if !self.leaf_branches.iter().all(is_known) || !self.leaf_branches.is_sorted() {
+            return wrong("leaf_branches must rise and name branches".to_owned());
+        }
+        Ok(())
+    }
+
     /// A branch with everything that grows from it, as a range of branches.
     pub fn subtree(&self, branch: usize) -> Range<usize> {
         let inside = |other: &Branch| other.parent.is_some_and(|parent| parent as usize >= branch);
@@ -69,5 +102,50 @@ mod tests {
         let structure = Structure { branches, leaf_branches: vec![] };
         let found: Vec<_> = (0..5).map(|i| structure.subtree(i)).collect();
         assert_eq!(found, [0..5, 1..3, 2..3, 3..5, 4..5], "trunk, limb, twig, limb, twig");
+    }
+    #[test]
+    fn what_a_plant_does_not_have_is_refused() {
+        let branch = |parent, wood_triangles, leaves| Branch {
+            parent,
+            level: 0,
+            start: Vec3::ZERO,
+            end: Vec3::Y,
+            radius: 1.0,
+            wood_triangles,
+            leaves,
+        };
+        let good = Structure {
+            branches: vec![branch(None, 0..4, 0..1), branch(Some(0), 4..6, 1..3)],
+            leaf_branches: vec![0, 1, 1],
+        };
+        assert!(good.check(6, 3).is_ok(), "six triangles and three leaves");
+        let changed = |change: &dyn Fn(&mut Structure)| {
+            let mut wrong = good.clone();
+            change(&mut wrong);
+            wrong.check(6, 3).expect_err("wrong").to_string()
+        };
+        for (change, expected) in [
+            (
+                &(|s: &mut Structure| s.branches[1].parent = Some(1)) as &dyn Fn(&mut Structure),
+                "structure: branch 1 comes before its parent",
+            ),
+            (
+                &|s| s.branches[1].wood_triangles.end = 7,
+                "structure: branch 1 has wood triangles 4..7 of 6",
+            ),
+            (&|s| s.branches[1].leaves.start = 4, "structure: branch 1 has leaves 4..3 of 3"),
+            (
+                &|s| s.leaf_branches.truncate(1),
+                "structure: leaf_branches has 1 values for 3 leaves",
+            ),
+            (&|s| s.leaf_branches[0] = 2, "structure: leaf_branches must rise and name branches"),
+            (&|s| s.leaf_branches[2] = 0, "structure: leaf_branches must rise and name branches"),
+        ] {
+            assert_eq!(changed(change), expected, "names what is wrong");
+        }
+        assert!(
+            changed(&|s| s.branches[0].radius = f32::NAN).contains("structure"),
+            "NaN is no radius"
+        );
     }
 }

@@ -19,6 +19,7 @@ mod render;
 mod run;
 mod simplified_mesh;
 mod stochastic_pruning;
+mod structure;
 mod view;
 
 use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
@@ -122,4 +123,10 @@ mod _core {
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "an attribute of a Python module")]
     const build_profile: &str = if cfg!(debug_assertions) { "debug" } else { "release" };
+
+    /// Names the sources of the core and the versions of its libraries: two builds of the same ones
+    /// compute the same numbers.
+    #[pymodule_export]
+    #[expect(non_upper_case_globals, reason = "an attribute of a Python module")]
+    const source_hash: &str = env!("KERNEL_SOURCE_HASH");
 }

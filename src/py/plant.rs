@@ -13,6 +13,7 @@ use pyo3::types::PyDict;
 
 use super::arrays::{matrix, rows, slice};
 use super::run::run;
+use super::structure::{StructureArrays, structure_arrays};
 use crate::error::{LodError, check_finite};
 use crate::plant::leaf_rectangle::leaf_rectangles;
 use crate::plant::split::{Tally, split};
@@ -152,6 +153,9 @@ impl MeshArrays<'_> {
 #[pymethods]
 impl Plant {
     #[new]
+    #[pyo3(signature = (
+        name, origin, materials, wood, foliage, leaf_offsets, lighting, structure=None
+    ))]
     #[expect(clippy::too_many_arguments, reason = "called from one place, by its Python face")]
     fn new(
         py: Python<'_>,
@@ -162,14 +166,31 @@ impl Plant {
         foliage: MeshArrays<'_>,
         leaf_offsets: PyReadonlyArray1<'_, u32>,
         lighting: LightingFacts,
+        structure: Option<StructureArrays<'_>>,
     ) -> PyResult<Self> {
         let materials = materials_from(&materials)?;
+        let structure = structure.map(|arrays| arrays.structure()).transpose()?;
         let (wood, foliage) = (wood.mesh()?, foliage.mesh()?);
         let leaf_offsets = slice("leaf_offsets", &leaf_offsets)?.to_vec();
         let lighting = Lighting::from(lighting);
         let plant = run(py, None, None, move |job| {
             let origin = DVec3::from(origin);
-            core::Plant::new(name, origin, materials, wood, foliage, leaf_offsets, lighting, job)
+            let (count, leaf_count) = (wood.triangles.len(), leaf_offsets.len().saturating_sub(1));
+            if let Some(structure) = &structure {
+                structure.check(count, leaf_count)?;
+            }
+            let mut plant = core::Plant::new(
+                name,
+                origin,
+                materials,
+                wood,
+                foliage,
+                leaf_offsets,
+                lighting,
+                job,
+            )?;
+            plant.structure = structure.map(Arc::new);
+            Ok(plant)
         })?;
         Ok(plant.into())
     }
@@ -231,10 +252,36 @@ impl Plant {
         Ok(facts)
     }
 
-    /// One dict a material, as the constructor takes them.
+    /// One dict a material, as the constructor takes them: materials that share a texture share
+    /// its array.
     #[getter]
     fn materials<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
-        self.inner.materials.iter().map(|material| material_facts(py, material)).collect()
+        let mut made: Vec<(&Arc<Texture>, Bound<'py, PyArray3<u8>>)> = Vec::new();
+        self.inner
+            .materials
+            .iter()
+            .map(|material| {
+                let texels = match &material.texture {
+                    None => None,
+                    Some(texture) => {
+                        Some(match made.iter().find(|(t, _)| Arc::ptr_eq(t, texture)) {
+                            Some((_, array)) => array.clone(),
+                            None => {
+                                made.push((texture, texels(py, texture)?));
+                                made[made.len() - 1].1.clone()
+                            }
+                        })
+                    }
+                };
+                material_facts(py, material, texels)
+            })
+            .collect()
+    }
+
+    /// How it branches, as the constructor takes it, or None.
+    #[getter]
+    fn structure<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        self.inner.structure.as_ref().map(|known| structure_arrays(py, known)).transpose()
     }
 
     /// Arrays of the wood.
@@ -362,13 +409,16 @@ fn wrap_name(wrap: Wrap) -> &'static str {
     }
 }
 
-fn material_facts<'py>(py: Python<'py>, material: &Material) -> PyResult<Bound<'py, PyDict>> {
+fn material_facts<'py>(
+    py: Python<'py>,
+    material: &Material,
+    texture: Option<Bound<'py, PyArray3<u8>>>,
+) -> PyResult<Bound<'py, PyDict>> {
     let (alpha_mode, cutoff) = match material.alpha_mode {
         AlphaMode::Opaque => ("opaque", 0.5),
         AlphaMode::Mask { cutoff } => ("mask", cutoff),
         AlphaMode::Blend => ("blend", 0.5),
     };
-    let texture = material.texture.as_ref().map(|texture| texels(py, texture)).transpose()?;
     let [u, v] = material.sampler.wrap.map(wrap_name);
     let facts = PyDict::new(py);
     facts.set_item("name", &material.name)?;

@@ -1,0 +1,172 @@
+"""
+What a cell of a sweep is, and what names it: one representation from one camera, measured once.
+
+The key is the SHA-256 of everything that decides the row: content of the plant, technique, all
+parameters, the camera, how it is measured and timed, and the code that computes. Names of plants
+and positions in lists of cameras decide nothing and are not in it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from treelod.sweeps.parameters import written
+
+if TYPE_CHECKING:
+    from treelod.cameras import Camera
+    from treelod.results import View
+    from treelod.sweeps.grid import Variant
+
+__all__ = ["STORE_VERSION", "Cell", "Settings", "Timing", "key_of"]
+
+STORE_VERSION = 1
+"""Rises when rows of an older store would mean something else."""
+
+Timing = Literal["shared", "exclusive", "none"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """
+    How every cell of a sweep is measured.
+
+    Attributes
+    ----------
+    samples, reference_samples : int
+        Samples a pixel of frames that are timed, and of those that are measured.
+    repeats, warmup : int
+        Timed frames, and frames before them; both 0 where nothing is timed.
+    timing : {'shared', 'exclusive', 'none'}
+        Whether other cells may run while one is timed.
+    threads : int or None
+        Threads that were asked for.
+    ppd : float
+        Pixels a degree of sight.
+    yee : bool
+        Whether Yee's metric is measured.
+    """
+
+    samples: int
+    reference_samples: int
+    repeats: int
+    warmup: int
+    timing: Timing
+    threads: int | None
+    ppd: float
+    yee: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cell:
+    """
+    One representation from one camera.
+
+    Attributes
+    ----------
+    plant : str
+        The plant's name in this sweep.
+    plant_digest : str
+        What names its content.
+    variant : Variant
+        Technique and parameters.
+    view : View
+        The camera.
+    identity : dict of str to object
+        Everything that decides the row, as JSON holds it.
+    key : str
+        What names the identity.
+    """
+
+    plant: str
+    plant_digest: str
+    variant: Variant
+    view: View
+    identity: dict[str, Any]
+    key: str
+
+    @classmethod
+    def of(
+        cls,
+        plant: str,
+        plant_digest: str,
+        variant: Variant,
+        view: View,
+        settings: Settings,
+        kernel_version: str,
+    ) -> Cell:
+        """
+        Name a cell.
+
+        Parameters
+        ----------
+        plant : str
+            The plant's name in this sweep.
+        plant_digest : str
+            What names its content.
+        variant : Variant
+            Technique and parameters.
+        view : View
+            The camera.
+        settings : Settings
+            How it is measured.
+        kernel_version : str
+            What computes.
+
+        Returns
+        -------
+        Cell
+        """
+        timing: dict[str, Any] = {"mode": settings.timing}
+        if settings.timing != "none":
+            timing |= {
+                "repeats": settings.repeats,
+                "warmup": settings.warmup,
+                "threads": settings.threads,
+            }
+        identity = {
+            "store": STORE_VERSION,
+            "kernel": kernel_version,
+            "plant": plant_digest,
+            "technique": variant.technique,
+            "params": variant.canonical_params(),
+            "camera": _camera_facts(view.camera),
+            "samples": settings.samples,
+            "reference_samples": settings.reference_samples,
+            "ppd": settings.ppd,
+            "yee": settings.yee,
+            "timing": timing,
+        }
+        return cls(
+            plant=plant,
+            plant_digest=plant_digest,
+            variant=variant,
+            view=view,
+            identity=identity,
+            key=key_of(identity),
+        )
+
+
+def key_of(identity: dict[str, Any]) -> str:
+    """
+    Name an identity.
+
+    Parameters
+    ----------
+    identity : dict of str to object
+        Of a cell.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
+    return hashlib.sha256(written(identity).encode()).hexdigest()
+
+
+def _camera_facts(camera: Camera) -> dict[str, Any]:
+    return {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in asdict(camera).items()
+    }
