@@ -1,6 +1,6 @@
 """
-The command line: ``treelod compare``, ``demo``, ``walk``, ``grow``, ``validate``,
-``bench``.
+The command line: ``treelod compare``, ``demo``, ``sweep``, ``walk``, ``grow``,
+``validate``, ``bench``.
 
 Progress and errors go to the error stream, results to the output stream. Exit codes: 0 done,
 1 failed, 2 wrong usage.
@@ -35,6 +35,8 @@ from treelod.terminal import Stages, reported
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    import pandas as pd
 
     from treelod.bench import Row
     from treelod.plants import Plant
@@ -271,6 +273,85 @@ def demo(
             progress=stages,
         )
     _show(comparison, page)
+
+
+@app.command()
+def sweep(
+    *,
+    config: Annotated[
+        Path,
+        typer.Argument(metavar="CONFIG", help="A TOML file: plants, cameras, techniques."),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for the rows; made if missing.")
+    ],
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", min=1, show_default="none", help="Processes that work."),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            show_default="none",
+            help="A dask scheduler whose workers work, as tcp://127.0.0.1:8786.",
+        ),
+    ] = None,
+    timing: Annotated[
+        str | None,
+        typer.Option(
+            "--timing",
+            metavar="shared|exclusive|none",
+            show_default="the file's, else shared",
+            help="Whether cells are timed while others run, each alone after all, or not at all.",
+        ),
+    ] = None,
+    keep_going: Annotated[
+        bool, typer.Option("--keep-going", help="Go on where a cell fails; exit code 1 at the end.")
+    ] = False,
+    threads: Threads = None,
+    verbose: Verbose = False,
+) -> None:
+    """
+    Measure a grid of techniques and parameters; only what OUTPUT does not have is computed.
+
+    Beside the rows lie results.parquet, results.csv and plots.
+    """
+    if workers is not None and scheduler is not None:
+        msg = "workers of this machine and of a scheduler do not mix"
+        raise typer.BadParameter(msg, param_hint="--scheduler")
+    with reported(verbose=verbose), Stages() as stages:
+        # seconds of imports, which `--help` and mistyped options should not wait for
+        from treelod.sweeps.command import run_config
+
+        table = run_config(
+            config,
+            output,
+            workers=workers,
+            scheduler=scheduler,
+            timing=timing,
+            threads=threads,
+            goes_on=keep_going,
+            progress=stages,
+        )
+    for plant in table["plant"].unique():
+        summary = table[table["plant"] == plant].summary()
+        samples = int(table["time_samples"].iloc[0])
+        _print_summary(f"{plant}: medians and means over all views", summary, samples)
+    failed = table.attrs["failed"]
+    for loss in failed[:10]:
+        where = f"{loss['plant']}, {loss['technique']}, view {loss['view']}"
+        typer.echo(f"failed: {where}: {loss['error']}")
+    if len(failed) > 10:
+        typer.echo(f"failed: {len(failed) - 10} more")
+    for line in (
+        f"table: {output / 'results.csv'}, plots: {output / 'plots'}",
+        f"next: treelod sweep {config} -o {output}  # computes only what {config.name} adds",
+    ):
+        Console().print(Text(line), soft_wrap=True)
+    if failed:
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -628,13 +709,31 @@ def _frame_size(text: str) -> tuple[int, int]:
 
 def _show(comparison: Comparison, page: Path) -> None:
     """Print the table and the report's path."""
-    from treelod.report.text import decibels, error, millis, seconds, signed, size_bytes, times
+    title = f"{comparison.plant['name']}: medians and means over all views"
+    _print_summary(title, comparison.summary(), comparison.settings["time_samples"])
+    Console().print(Text(f"report: {page}"), soft_wrap=True)
+
+
+def _print_summary(title: str, summary: pd.DataFrame, samples: int) -> None:
+    """Print errors and costs of each technique; times may be missing."""
+    import pandas as pd
+
+    from treelod.report.text import (
+        NONE,
+        decibels,
+        error,
+        millis,
+        seconds,
+        signed,
+        size_bytes,
+        times,
+    )
 
     console = Console()
     # in a file or a pipe, lines are as long as the table needs
     if not console.is_terminal:
         console = Console(width=160)
-    table = Table(title=f"{comparison.plant['name']}: medians and means over all views")
+    table = Table(title=Text(title))
     table.add_column("technique", overflow="fold")
     for name in (
         "frame ms",
@@ -648,14 +747,15 @@ def _show(comparison: Comparison, page: Path) -> None:
         "build",
     ):
         table.add_column(name, justify="right", no_wrap=True)
-    for row in comparison.summary().to_dict("records"):
+    for row in summary.to_dict("records"):
         label = str(row["label"])
-        if label == comparison.reference_label:
-            label += f" ({comparison.settings['time_samples']} samples)"
+        if label == FullMesh.name:
+            label += f" ({samples} samples)"
+        is_timed = pd.notna(row["frame_millis"])
         table.add_row(
             Text(label),
-            millis(row["frame_millis"]),
-            times(row["speedup"]),
+            millis(row["frame_millis"]) if is_timed else NONE,
+            times(row["speedup"]) if is_timed else NONE,
             error(row["flip"]),
             error(row["flip_worst"]),
             decibels(row["psnr_worst"]),
@@ -665,7 +765,6 @@ def _show(comparison: Comparison, page: Path) -> None:
             seconds(row["build_secs"]),
         )
     console.print(table)
-    console.print(Text(f"report: {page}"), soft_wrap=True)
 
 
 def _show_rows(rows: list[Row]) -> None:

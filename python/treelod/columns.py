@@ -36,6 +36,7 @@ __all__ = [
     "time_columns",
     "typed",
     "view_columns",
+    "without_infinity",
 ]
 
 TIME_COLUMNS = (
@@ -275,6 +276,24 @@ def typed(table: pd.DataFrame) -> pd.DataFrame:
         dict.fromkeys(_OPTIONAL_FLOATS, "float64")
         | {"seed": "Int64", "git_commit": "string", "plant_sha256": "string"}
     )
+
+
+def without_infinity(table: pd.DataFrame) -> pd.DataFrame:
+    """
+    Return a table for files that hold no infinity: where a picture equals the reference.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Rows with these columns.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A copy in which infinite PSNR is null.
+    """
+    columns = [name for name in table.columns if name.startswith("psnr")]
+    return table.assign(**{name: table[name].replace(np.inf, np.nan) for name in columns})
 
 
 def summarised(

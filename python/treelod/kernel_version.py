@@ -30,6 +30,7 @@ MODULES = (
     "plant.py",
     "plant_content.py",
     "render.py",
+    "results.py",
     "scenes.py",
     "sweeps/worker.py",
     "techniques/*.py",

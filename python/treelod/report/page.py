@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jinja2
-import numpy as np
 import pandas as pd
 
 from treelod import plots
+from treelod.columns import without_infinity
 from treelod.files import atomic_write
 from treelod.report import images, text
 
@@ -93,7 +92,7 @@ def write_report(comparison: Comparison, directory: str | os.PathLike[str]) -> P
     for name in ("plots", "pictures"):
         (folder / name).mkdir(exist_ok=True)
 
-    stored = _without_infinity(table)
+    stored = without_infinity(table)
     parquet = io.BytesIO()
     stored.to_parquet(parquet, index=False)
     atomic_write(folder / "results.parquet", parquet.getvalue())
@@ -281,11 +280,6 @@ def _strip(picture: Picture, parts: dict[str, Any]) -> dict[str, Any]:
         "pixels": (width, height),
         "enlarged": max(images.COLUMN_PX // max(width, height), 1),
     }
-
-
-def _without_infinity(table: pd.DataFrame) -> pd.DataFrame:
-    columns = [name for name in table.columns if name.startswith("psnr")]
-    return table.assign(**{name: table[name].replace(math.inf, np.nan) for name in columns})
 
 
 def _records(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from distributed import WorkerPlugin
+import multiprocessing
 
-from treelod.sweeps import worker
+import OpenImageIO as oiio  # noqa: N813
+from distributed import Worker, WorkerPlugin
+
+from treelod.sweeps.worker import forget, hold_plant
 
 __all__ = ["HoldPlant", "plugin_name"]
 
@@ -42,15 +45,14 @@ class HoldPlant(WorkerPlugin):
         self.digest = digest
         self.data = data
 
-    def setup(self, worker: object) -> None:
+    def setup(self, worker: Worker) -> None:
         """Bring the plant, when a worker starts or the plugin is registered."""
-        del worker
-        hold(self.digest, self.data)
+        hold_plant(self.digest, self.data)
+        # a process of dask's own; in another one the library's threads are not ours to set
+        if multiprocessing.parent_process() is not None:
+            oiio.attribute("threads", worker.state.nthreads)
 
-    def teardown(self, worker: object) -> None:
+    def teardown(self, worker: Worker) -> None:
         """Let the plant go, and all that was made of it."""
         del worker
         forget(self.digest)
-
-
-hold, forget = worker.hold_plant, worker.forget

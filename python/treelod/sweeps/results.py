@@ -218,20 +218,15 @@ def table_of(shards: Sequence[Shard], views: Sequence[int]) -> SweepResults:
     records = []
     for shard, view in zip(shards, views, strict=True):
         technique, params = shard.identity["technique"], shard.identity["params"]
-        first = {
+        first: dict[str, Any] = {
             "plant": shard.row["plant"],
             "label": label_of[technique, written(params)],
             "technique": technique,
             "params": shard.row["params"],
         }
-        records.append(
-            {
-                **first,
-                **{f"{PARAM}{name}": params.get(name) for name in given},
-                "view": view,
-                **{name: value for name, value in shard.row.items() if name not in first},
-            }
-        )
+        first |= {f"{PARAM}{name}": params.get(name) for name in given}
+        # of this table, and not of the one that the row was stored for
+        records.append({**first, **shard.row, "view": view})
     table = typed(pd.DataFrame.from_records(records))
     for name in given:
         # from the values themselves: in a column of numbers and gaps, whole ones are whole no more

@@ -1,0 +1,145 @@
+"""What ``treelod sweep`` does: reads a file, sweeps, writes tables and plots beside the rows."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from treelod import plots
+from treelod.columns import without_infinity
+from treelod.errors import SweepWarning
+from treelod.files import atomic_write
+from treelod.sweeps.config import read_config
+from treelod.sweeps.driver import sweep
+from treelod.sweeps.store import Store
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterator
+
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from treelod.comparison import Progress
+    from treelod.sweeps.cells import Timing
+    from treelod.sweeps.results import SweepResults
+
+__all__ = ["run_config"]
+
+
+def run_config(
+    config: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    *,
+    workers: int | None,
+    scheduler: str | None,
+    timing: str | None,
+    threads: int | None,
+    goes_on: bool,
+    progress: Progress,
+) -> SweepResults:
+    """
+    Run the sweep of a file.
+
+    Parameters
+    ----------
+    config : path-like
+        The file.
+    folder : path-like
+        Where rows, tables and plots go.
+    workers : int or None
+        Processes of this machine that work.
+    scheduler : str or None
+        Address of a dask scheduler whose workers work.
+    timing : str or None
+        In place of the file's.
+    threads : int or None
+        In place of the file's.
+    goes_on : bool
+        Whether to go on where a cell fails.
+    progress : callable
+        Told how far each stage is.
+
+    Returns
+    -------
+    SweepResults
+        Written to ``results.parquet``, ``results.csv`` and ``plots``.
+    """
+    wanted = read_config(config)
+    # before plants are loaded for minutes
+    store = Store.open(folder, make=True)
+    plants, sources = {}, {}
+    for done, name in enumerate(wanted.plants):
+        progress("plants", done, len(wanted.plants))
+        plants[name], sources[name] = wanted.make_plant(name)
+    progress("plants", len(plants), len(plants))
+    settings = dict(wanted.settings)
+    if timing is not None:
+        settings["timing"] = cast("Timing", timing)
+    if threads is not None:
+        settings["threads"] = threads
+    with _executor(workers, scheduler) as executor, warnings.catch_warnings():
+        if goes_on:
+            # the command lists them itself
+            warnings.filterwarnings("ignore", "^[0-9]+ of [0-9]+ cells failed", SweepWarning)
+        table = sweep(
+            plants,
+            wanted.grid,
+            wanted.cameras,
+            store=store.folder,
+            executor=executor,
+            on_error="record" if goes_on else "raise",
+            sources=sources,
+            progress=progress,
+            **settings,
+        )
+    _write(table, store.folder)
+    return table
+
+
+@contextmanager
+def _executor(workers: int | None, scheduler: str | None) -> Iterator[int | Executor | None]:
+    if scheduler is None:
+        yield workers
+        return
+    try:
+        from distributed import Client
+    except ImportError as error:
+        msg = "--scheduler needs dask: pip install 'treelod[cluster]'"
+        raise ImportError(msg) from error
+    with Client(scheduler) as client:
+        yield client.get_executor(pure=False)
+
+
+def _write(table: SweepResults, folder: Path) -> None:
+    stored = without_infinity(table)
+    # lists of what failed are for the caller
+    stored.attrs = {}
+    parquet = io.BytesIO()
+    stored.to_parquet(parquet, index=False)
+    atomic_write(folder / "results.parquet", parquet.getvalue())
+    atomic_write(folder / "results.csv", stored.to_csv(index=False).encode())
+    (folder / "plots").mkdir(exist_ok=True)
+    plants = table["plant"].unique()
+    for number, plant in enumerate(plants):
+        for name, figure in _figures(table[table["plant"] == plant]).items():
+            # the number keeps apart names that differ only in signs a file name cannot hold
+            plain = re.sub(r"[^\w.-]+", "_", str(plant))
+            stem = f"{number:02d}_{plain}_{name}"
+            path = folder / "plots" / f"{stem if len(plants) > 1 else name}.png"
+            atomic_write(path, plots.encode(figure, "png"))
+
+
+def _figures(rows: pd.DataFrame) -> dict[str, Figure]:
+    """Draw the plots of one plant."""
+    figures: dict[str, Any] = {}
+    if rows["frame_millis"].notna().any():
+        figures["speed_against_error"] = plots.speed_against_error(rows)
+    figures["error_by_azimuth"] = plots.error_by_azimuth(rows)
+    figures["error_by_distance"] = plots.error_by_distance(rows)
+    return figures
