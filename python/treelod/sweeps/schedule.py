@@ -33,6 +33,9 @@ MAX_JOB_CELLS = 16
 FIRST_JOB_CELLS = 2
 """Cells of a job while nobody knows yet how long one takes."""
 
+DEATHS_OF_ALL = 2
+"""Cells of a representation that must kill their worker before the others are not tried."""
+
 POLL_SECS = 0.5
 """How long to wait before looking for workers that have joined."""
 
@@ -48,10 +51,16 @@ class Group:
         Not handed out yet.
     cell_secs : float or None
         Seconds that one took, lately.
+    row_count : int
+        How many came back.
+    death_count : int
+        How many were given up because they killed their worker.
     """
 
     cells: deque[Cell]
     cell_secs: float | None = None
+    row_count: int = 0
+    death_count: int = 0
 
     def take(self, most: int) -> list[Cell]:
         """Take as many cells as make a job, and at most `most`."""
@@ -211,6 +220,7 @@ class Schedule:
         group = out.group
         for position, row in sorted(outcome.rows.items()):
             self.keep(out.cells[position], row, outcome)
+            group.row_count += 1
         for failure in outcome.failures:
             cell = out.cells[failure.position]
             self._give_up(
@@ -238,8 +248,20 @@ class Schedule:
         if count > self.retries:
             times = "once" if count == 1 else f"{count} times"
             self._give_up(Loss(cell=cell, text=f"it killed its worker {times}"))
+            out.group.death_count += 1
+            self._bury(out.group)
         else:
             self._suspects.append((out.group, cell))
+
+    def _bury(self, group: Group) -> None:
+        """Give up the rest of a representation of which all that was tried has killed."""
+        if group.row_count or group.death_count < DEATHS_OF_ALL:
+            return
+        suspects = [cell for other, cell in self._suspects if other is group]
+        self._suspects = deque(pair for pair in self._suspects if pair[0] is not group)
+        for cell in [*suspects, *group.cells]:
+            self._give_up(Loss(cell=cell, text="others of its representation killed their worker"))
+        group.cells.clear()
 
     def _recover(self, error: BaseException) -> None:
         """Collect all that was out, and get another executor."""
