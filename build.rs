@@ -7,8 +7,6 @@
 //! This work is based on:
 //! Glenn Fowler, Landon Curt Noll, Phong Vo. FNV hash. 1991
 
-#![expect(clippy::print_stdout, reason = "this is how a build script answers cargo")]
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
