@@ -3,6 +3,8 @@
 //! Geometry and textures are immutable, shared and carry ids, so a renderer can keep its own copies
 //! between frames. What belongs to one frame alone is in [`DrawList::own`].
 
+pub mod signature;
+
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

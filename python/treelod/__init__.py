@@ -41,6 +41,7 @@ from treelod.techniques import (
 
 if TYPE_CHECKING:
     from treelod import metrics, plots, walks
+    from treelod.popping import switches
     from treelod.sweeps import SweepResults, crossed, load_results, sweep, zipped
 
 __all__ = [
@@ -89,6 +90,7 @@ __all__ = [
     "render",
     "scatter",
     "sweep",
+    "switches",
     "time_frames",
     "walks",
     "zipped",
@@ -97,15 +99,20 @@ __all__ = [
 _HEAVY = {"metrics", "plots", "walks"}
 """Modules that import large libraries: imported at their first use, `tl.metrics` included."""
 
-_SWEEPS = {"SweepResults", "crossed", "load_results", "sweep", "zipped"}
-"""Names of `treelod.sweeps`, which imports large libraries too."""
+_HEAVY_NAMES = {
+    **dict.fromkeys(
+        ["SweepResults", "crossed", "load_results", "sweep", "zipped"], "treelod.sweeps"
+    ),
+    "switches": "treelod.popping",
+}
+"""Names of modules that import large libraries too, with their modules."""
 
 
 def __getattr__(name: str) -> Any:
     if name in _HEAVY:
         return importlib.import_module(f"treelod.{name}")
-    if name in _SWEEPS:
-        return getattr(importlib.import_module("treelod.sweeps"), name)
+    if name in _HEAVY_NAMES:
+        return getattr(importlib.import_module(_HEAVY_NAMES[name]), name)
     msg = f"module 'treelod' has no attribute {name!r}"
     raise AttributeError(msg)
 

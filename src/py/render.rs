@@ -170,6 +170,24 @@ impl Renderer {
         })?;
         stats_facts(py, &stats)
     }
+
+    /// What a view draws, item by item in paint order: kind, count, and a key of what is drawn that holds
+    /// in this process.
+    fn signature(
+        &self,
+        py: Python<'_>,
+        scene: &Scene,
+        camera: CameraFacts,
+    ) -> PyResult<Vec<(&'static str, u64, u64)>> {
+        let view = camera.view()?;
+        let scene = Arc::clone(&scene.inner);
+        run(py, None, None, |_| {
+            let mut guard = self.taken()?;
+            let (_, state) = &mut *guard;
+            let (list, _) = emit(&scene, &view, Outputs::COLOR, state)?;
+            Ok(list.signature().iter().map(|item| (item.kind, item.count, item.key)).collect())
+        })
+    }
 }
 
 impl Renderer {
