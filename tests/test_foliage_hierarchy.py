@@ -97,9 +97,9 @@ def test_papers_rule_loses_area(plant):
 
 
 @pytest.mark.parametrize("name", ["made", "chestnut"])
-def test_crowns_cover_as_much_at_every_level(plant, name):
+def test_crowns_cover_as_much_at_every_level(plant, name, treelod_plant):
     if name == "chestnut":
-        plant = tl.grow_plant("chestnut", leaf_count=2000)
+        plant = treelod_plant("chestnut", leaf_count=2000)
     cameras = tl.orbit(plant, count=4, size=(160, 160))
     lod, unkept = build(plant, wood=False), build(plant, wood=False, keep_coverage=False)
     mesh = tl.FullMesh.build(plant, wood=False)

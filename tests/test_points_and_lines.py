@@ -16,13 +16,13 @@ needs_models = pytest.mark.skipif(not MODELS, reason="TREELOD_MODELS names no fo
 
 
 @pytest.fixture(scope="module")
-def chestnut():
-    return tl.grow_plant("chestnut", leaf_count=600, seed=3)
+def chestnut(treelod_plant):
+    return treelod_plant("chestnut", leaf_count=600, seed=3)
 
 
 @pytest.fixture(scope="module")
-def pine():
-    return tl.grow_plant("pine", leaf_count=3000, seed=3)
+def pine(treelod_plant):
+    return treelod_plant("pine", leaf_count=3000, seed=3)
 
 
 def sample_spacing(lod, camera):

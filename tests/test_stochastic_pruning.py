@@ -9,8 +9,8 @@ import treelod as tl
 
 
 @pytest.fixture(scope="module")
-def plant():
-    return tl.grow_plant("chestnut", leaf_count=800, seed=5)
+def plant(treelod_plant):
+    return treelod_plant("chestnut", leaf_count=800, seed=5)
 
 
 def reference_level(plant, lod, camera):
@@ -98,8 +98,8 @@ def test_what_is_wrong_is_named(plant, params, error, message):
         tl.StochasticPruning.build(plant).at(kept_share=0.0)
 
 
-def test_large_leaves_stay_inside_the_bounds():
-    plant = tl.grow_plant("chestnut", leaf_count=2000)
+def test_large_leaves_stay_inside_the_bounds(treelod_plant):
+    plant = treelod_plant("chestnut", leaf_count=2000)
     for share in (1e-9, 1e-3, 0.1, 1.0):
         lod = tl.StochasticPruning.build(plant, wood=False).at(kept_share=share)
         low, high = tl.Scene([(lod, None)]).bounds
