@@ -2,6 +2,8 @@
 
 import json
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -442,3 +444,11 @@ def test_every_plot_is_a_picture_of_the_same_bytes():
         first, second = (plots.encode(plot(), "png", dpi=60) for _ in range(2))
         assert first == second
         assert first.startswith(b"\x89PNG")
+
+
+def test_the_documents_example_runs(tmp_path, monkeypatch):
+    text = (Path(__file__).parents[1] / "docs/plots.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, "docs/plots.md", "exec"), {})
+    assert (tmp_path / "slice_count.png").read_bytes().startswith(b"\x89PNG")
