@@ -111,6 +111,91 @@ def test_bad_circles_are_named(given, message):
         walks.circle(PLANT, np.eye(4)[np.newaxis], **given)
 
 
+def test_a_path_leads_through_the_grove_at_eye_height():
+    center, radius = PLANT.sphere
+    grove = tl.scatter(30, 2 * radius, about=center)
+    centers = (grove @ [*center, 1.0])[:, :3]
+    middle = centers.mean(axis=0)
+    cameras = walks.through(PLANT, grove, 500, size=(64, 48))
+    eyes = np.array([camera.eye for camera in cameras])
+    low, high = PLANT.bounds
+    np.testing.assert_allclose(eyes[:, 1], low[1] + 0.22 * (high[1] - low[1]))
+    away = np.linalg.norm((eyes - middle)[:, [0, 2]], axis=1)
+    outermost = np.linalg.norm((centers - middle)[:, [0, 2]], axis=1).max()
+    assert away.max() == pytest.approx(outermost + 2.5 * radius, rel=1e-3), "out of the grove"
+    assert away.min() < 0.2 * outermost, "and into its middle"
+    steps = np.linalg.norm(np.diff(eyes, axis=0, append=eyes[:1]), axis=1)
+    assert steps.max() < 5 * np.median(steps), "closed, without jumps"
+    # it looks where it goes
+    ahead = np.array([camera.target for camera in cameras]) - eyes
+    cosines = np.sum(ahead * np.roll(np.diff(eyes, axis=0, append=eyes[:1]), -1, axis=0), axis=1)
+    assert (cosines > 0.8 * np.linalg.norm(ahead, axis=1) * np.roll(steps, -1)).all()
+
+
+def test_a_path_needs_a_frame():
+    with pytest.raises(ValueError, match="frame_count"):
+        walks.through(PLANT, np.eye(4)[np.newaxis], 0)
+
+
+# --- the worst case ------------------------------------------------------------------------------
+
+
+def test_of_130_windows_the_seven_largest_are_left_out():
+    # window w takes w everywhere but for one frame, which makes up for another
+    millis = np.repeat(np.arange(130.0), 20).reshape(130, 20)
+    millis[:, 0] += 10.0
+    millis[:, 1] -= 10.0
+    shuffled = np.random.default_rng(0).permutation(millis)
+    assert walks.worst_case_millis(shuffled.ravel()) == 122.0
+    # a window that is not full is not counted
+    assert walks.worst_case_millis([*shuffled.ravel(), *[1e6] * 19]) == 122.0
+    assert walks.worst_case_millis([3.0, 1.0], window=1, dropped_share=0.0) == 3.0
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (([1.0] * 19,), "none is left"),
+        (([1.0] * 20,), "none is left"),
+        (([[1.0]],), "one-dimensional"),
+        (([1.0], 0), "window"),
+        (([1.0], 1, 1.0), "dropped_share"),
+    ],
+)
+def test_bad_worst_cases_are_named(given, message):
+    with pytest.raises(ValueError, match=message):
+        walks.worst_case_millis(*given)
+
+
+def test_a_path_has_a_worst_case_and_may_leave_windows_out():
+    calls = []
+    found = walks.walk(
+        PLANT,
+        {"mesh": MESH, "half": HALF},
+        tree_counts=(2,),
+        path="through",
+        frame_count=800,
+        size=(8, 6),
+        samples=1,
+        every={"mesh": 2},
+        progress=lambda *args: calls.append(args),
+    )
+    table = found.table.set_index("label")
+    assert table["frames"].to_dict() == {"mesh": 400, "half": 800}
+    for _, row in table.iterrows():
+        assert row["frame_millis_low"] <= row["frame_millis_mean"] <= row["frame_millis_high"]
+        assert row["frame_millis_mean"] < row["frame_millis_worst"] <= row["frame_millis_high"]
+    assert table.loc["half", "primitives_max"] == 88
+    assert table.loc["half", "primitives"] < 88, "trees leave the picture"
+    assert (found.settings["path"], found.settings["every"]) == ("through", {"mesh": 2})
+    assert calls[-1] == ("walking", 820, 820), "20 frames are not counted"
+
+
+def test_of_few_frames_there_is_no_worst_case(found):
+    assert found.table["frame_millis_worst"].isna().all()
+    assert found.table["frames"].eq(5).all()
+
+
 # --- the walk ------------------------------------------------------------------------------------
 
 
@@ -213,6 +298,9 @@ def test_progress_counts_frames():
         ({"x": MESH}, {"tree_counts": (0, 1)}, ValueError, "tree_counts"),
         ({"x": MESH}, {"tree_counts": (2, 2)}, ValueError, "tree_counts"),
         ({"x": MESH}, {"laps": 0}, ValueError, "laps"),
+        ({"x": MESH}, {"path": "up"}, ValueError, "path"),
+        ({"x": MESH}, {"every": {"y": 2}}, ValueError, "every names 'y'"),
+        ({"x": MESH}, {"every": {"x": 0}}, ValueError, "every: 'x'"),
         ({"x": MESH}, {"frame_count": 0}, ValueError, "frame_count"),
         ({"x": MESH}, {"spacing": -1.0}, ValueError, "spacing"),
         ({"x": MESH}, {"samples": 3}, ValueError, "samples"),
@@ -320,6 +408,24 @@ def test_the_command_walks(tmp_path):
     assert table["label"].tolist() == ["full_mesh", "simplified_mesh:triangle_count=100"] * 2
     mesh, simple = (table[table["label"] == label] for label in table["label"].unique())
     assert (mesh["primitives"].to_numpy() - simple["primitives"].to_numpy()).tolist() == [200, 400]
+
+
+def test_the_command_walks_through(tmp_path):
+    specs = ["-t", "full_mesh", "-t", "simplified_mesh:triangle_count=100"]
+    options = ["--trees", "2", "--frames", "400", "--size", "8x6", "--samples", "1"]
+    every = ["--every", "simplified_mesh:triangle_count=100=2"]
+    arguments = ["walk", "chestnut", "-o", str(tmp_path), "--leaf-count", "30", "--path", "through"]
+    done = CliRunner().invoke(cli.app, [*arguments, *options, *specs, *every])
+    assert done.exit_code == 0, done.output
+    table = pd.read_csv(tmp_path / "walk.csv")
+    assert table["frames"].tolist() == [400, 200]
+    assert table["frame_millis_worst"].isna().tolist() == [False, True]
+    html = (tmp_path / "walk.html").read_text(encoding="utf-8")
+    assert "a walk through groves" in html
+    assert "one of 2 windows of 20 frames" in html
+    done = CliRunner().invoke(cli.app, [*arguments, *options, "--every", "full_mesh"])
+    assert done.exit_code == 2
+    assert "SPEC=COUNT" in done.output
 
 
 @pytest.mark.parametrize("trees", ["2,1", "0", "1,2.5", "few"])

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+import math
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -43,6 +45,14 @@ if TYPE_CHECKING:
     from treelod.results import Comparison
 
 __all__ = ["app", "main"]
+
+
+class WalkPath(StrEnum):
+    """Where the camera of a walk goes."""
+
+    CIRCLE = "circle"
+    THROUGH = "through"
+
 
 app = typer.Typer(
     name="treelod",
@@ -380,11 +390,46 @@ def walk(
     trees: Annotated[
         str, typer.Option("--trees", metavar="COUNT,...", help="Trees of each grove, rising.")
     ] = "1,2,4,8",
-    frames: Annotated[int, typer.Option("--frames", min=1, help="Frames of a lap.")] = 36,
-    laps: Annotated[int, typer.Option("--laps", min=1, help="Laps that are counted.")] = 3,
+    path: Annotated[
+        WalkPath,
+        typer.Option(
+            "--path",
+            help="Where the camera goes: around the grove, or through it for the worst case.",
+        ),
+    ] = WalkPath.CIRCLE,
+    frames: Annotated[
+        int | None,
+        typer.Option(
+            "--frames",
+            min=1,
+            show_default="36 around, 2600 through",
+            help="Frames of a lap.",
+        ),
+    ] = None,
+    laps: Annotated[
+        int | None,
+        typer.Option(
+            "--laps", min=1, show_default="3 around, 1 through", help="Laps that are counted."
+        ),
+    ] = None,
+    every: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--every",
+            metavar="SPEC=COUNT",
+            help="Draw only one of so many windows of 20 frames with this technique, named as in "
+            "--technique; repeat for several.",
+        ),
+    ] = None,
     size: Annotated[
-        str, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Pictures' size in pixels.")
-    ] = "512x384",
+        str | None,
+        typer.Option(
+            "--size",
+            metavar="WIDTHxHEIGHT",
+            show_default="512x384 around, 640x480 through",
+            help="Pictures' size in pixels.",
+        ),
+    ] = None,
     samples: Annotated[int, typer.Option("--samples", min=1, help="Samples a pixel.")] = 4,
     threads: Threads = None,
     seed: Seed = None,
@@ -392,7 +437,7 @@ def walk(
     verbose: Verbose = False,
 ) -> None:
     """
-    Circle growing groves of a plant: primitives and milliseconds of each technique.
+    Go around or through growing groves of a plant: primitives and milliseconds of each technique.
 
     The report is OUTPUT/walk.html, one self-contained page.
     Beside it lie walk.parquet, walk.csv and the plot.
@@ -400,7 +445,8 @@ def walk(
     specs = [FullMesh.name, *_all_techniques()] if technique is None else technique
     wanted = dict(_technique(text) for text in specs)
     counts = _counts("--trees", trees)
-    frame_size = _frame_size(size)
+    frame_size = None if size is None else _frame_size(size)
+    strides = dict(_stride(text) for text in every or ())
     with reported(verbose=verbose), Stages() as stages:
         from treelod import walks
         from treelod.report import check_folder
@@ -417,8 +463,10 @@ def walk(
             subject,
             built,
             tree_counts=counts,
+            path=path.value,
             frame_count=frames,
             laps=laps,
+            every=strides,
             size=frame_size,
             samples=samples,
             threads=threads,
@@ -428,7 +476,7 @@ def walk(
     console = Console(width=None if Console().is_terminal else 160)
     table = Table(title=f"{found.plant}: around groves")
     table.add_column("technique", overflow="fold")
-    for name in ("trees", "primitives", "frame ms"):
+    for name in ("trees", "primitives", "frame ms", "worst case ms"):
         table.add_column(name, justify="right", no_wrap=True)
     for row in found.table.to_dict("records"):
         table.add_row(
@@ -436,6 +484,7 @@ def walk(
             str(row["tree_count"]),
             f"{row['primitives']:,.0f}",
             f"{row['frame_millis']:.2f}",
+            "-" if math.isnan(row["frame_millis_worst"]) else f"{row['frame_millis_worst']:.2f}",
         )
     console.print(table)
     console.print(Text(f"report: {page}"), soft_wrap=True)
@@ -694,6 +743,16 @@ def _counts(option: str, text: str) -> list[int]:
     except ValueError:
         msg = f"{text!r} is not a list of whole numbers with commas between"
         raise typer.BadParameter(msg, param_hint=option) from None
+
+
+def _stride(text: str) -> tuple[str, int]:
+    # a label has signs of its own: slicings:slice_count=3
+    label, _, count = text.rpartition("=")
+    try:
+        return label, int(count)
+    except ValueError:
+        msg = f"{text!r} is not SPEC=COUNT, full_mesh=10 for example"
+        raise typer.BadParameter(msg, param_hint="--every") from None
 
 
 def _frame_size(text: str) -> tuple[int, int]:
