@@ -15,7 +15,7 @@ use crate::raster::{Outputs, Renderer, Settings};
 use crate::texture::dilate::dilated;
 use crate::texture::linear::LinearImage;
 use crate::texture::mips::{self, Keep};
-use crate::texture::{Image, Texture};
+use crate::texture::{Format, Image, Texture};
 use crate::view::{Projection, View};
 
 /// A rectangle in space that a texture covers, seen from `toward`.
@@ -100,16 +100,6 @@ pub fn bake(
     Ok(LinearImage { width: view.width, height: view.height, texels: frame.color })
 }
 
-/// How a bake is stored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Format {
-    /// Four bytes a texel.
-    #[default]
-    Rgba8,
-    /// Five bits a colour and one of alpha: two bytes a texel.
-    Rgb5a1,
-}
-
 /// Dilates, encodes and builds the levels of a bake.
 ///
 /// # Errors
@@ -120,49 +110,26 @@ pub fn finish(
     format: Format,
     job: &Job,
 ) -> Result<Arc<Texture>, LodError> {
-    stored(levels(image, keep, format, job)?, format)
+    stored(levels(image, keep, job)?, format, job)
 }
 
-/// The levels of a bake, dilated and encoded.
+/// The levels of a bake, dilated, before they are stored in a format.
 ///
 /// # Errors
 /// As [`finish`].
-pub fn levels(
-    image: &LinearImage,
-    keep: Keep,
-    format: Format,
-    job: &Job,
-) -> Result<Vec<Image>, LodError> {
+pub fn levels(image: &LinearImage, keep: Keep, job: &Job) -> Result<Vec<Image>, LodError> {
     let check = || job.check();
-    let mut levels = mips::levels(dilated(image, &check)?, keep, &check)?;
-    if format == Format::Rgb5a1 {
-        for level in &mut levels {
-            level.texels.iter_mut().for_each(|texel| *texel = rgb5a1(*texel));
-        }
-    }
-    Ok(levels)
+    mips::levels(dilated(image, &check)?, keep, &check)
 }
 
-/// A texture of encoded levels, which knows the bytes of their format.
+/// A texture of levels as a format gives them back, which knows the format's bytes.
 ///
 /// # Errors
-/// If a level has a size that it should not have.
-pub fn stored(levels: Vec<Image>, format: Format) -> Result<Arc<Texture>, LodError> {
-    let texel_count: u64 = levels.iter().map(|level| level.texels.len() as u64).sum();
-    let texel_bytes = match format {
-        Format::Rgba8 => 4,
-        Format::Rgb5a1 => 2,
-    };
-    Ok(Texture::with_byte_count(levels, texel_count * texel_bytes)?.decoded_ahead())
-}
-
-/// The nearest texel that five bits a colour and one of alpha can hold.
-fn rgb5a1([r, g, b, a]: [u8; 4]) -> [u8; 4] {
-    let five = |code: u8| {
-        let short = (u16::from(code) * 31 + 127) / 255;
-        u8::try_from((short << 3) | (short >> 2)).expect("eight bits")
-    };
-    [five(r), five(g), five(b), if a >= 128 { 255 } else { 0 }]
+/// If a level has a size that it should not have; [`LodError::Cancelled`].
+pub fn stored(mut levels: Vec<Image>, format: Format, job: &Job) -> Result<Arc<Texture>, LodError> {
+    format.store(&mut levels, &|| job.check())?;
+    let byte_count = format.byte_count(&levels);
+    Ok(Texture::with_byte_count(levels, byte_count)?.decoded_ahead())
 }
 
 #[cfg(test)]
@@ -192,9 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn short_texels_keep_white_and_black() {
-        assert_eq!(rgb5a1([255, 0, 8, 127]), [255, 0, 8, 0], "one step of 8");
-        assert_eq!(rgb5a1([128, 4, 250, 128]), [132, 0, 247, 255], "the nearest of 32 steps");
+    fn bytes_are_those_of_the_format() {
         let image = LinearImage { width: 2, height: 2, texels: vec![Vec4::ONE; 4] };
         let texture =
             finish(&image, Keep::MeanAlpha, Format::Rgb5a1, &Job::default()).expect("valid");

@@ -36,7 +36,6 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use crate::bake::Format;
 use crate::draw_list::Buffers;
 use crate::error::{LodError, check_in};
 use crate::job::Job;
@@ -54,8 +53,8 @@ use crate::lod::wood::Wood;
 use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation};
 use crate::plant::Plant;
 use crate::raster::samples;
-use crate::texture::Filter;
 use crate::texture::texture::check_size;
+use crate::texture::{Filter, Format};
 use crate::view::View;
 use crate::view_state::ViewState;
 

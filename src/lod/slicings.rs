@@ -21,7 +21,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
-use crate::bake::{BakeRect, Format, bake, finish};
+use crate::bake::{BakeRect, bake, finish};
 use crate::draw_list::{Blend, Buffers, Geometry, Item, Primitive, Surface};
 use crate::error::{LodError, check_in, check_limit};
 use crate::job::Job;
@@ -34,7 +34,7 @@ use crate::plant::{Mesh, Plant};
 use crate::raster::{Renderer, samples};
 use crate::texture::mips::Keep;
 use crate::texture::texture::check_size;
-use crate::texture::{Filter, Sampler, Texture, Wrap};
+use crate::texture::{Filter, Format, Sampler, Texture, Wrap};
 use crate::view::View;
 use crate::view_state::ViewState;
 use opacity::{Opacity, SilhouetteAlpha};

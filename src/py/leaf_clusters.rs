@@ -11,7 +11,6 @@ use super::lod::{Representation, choice, wood_from};
 use super::plant::Plant;
 use super::run::run;
 use super::view::CameraFacts;
-use crate::bake::Format;
 use crate::lod::Representation as _;
 use crate::lod::leaf_clusters::impostor::{Flatten, Outline};
 use crate::lod::leaf_clusters::indirect::Indirect;
@@ -19,6 +18,7 @@ use crate::lod::leaf_clusters::kmeans::Init;
 use crate::lod::leaf_clusters::level_rule::LevelRule;
 use crate::lod::leaf_clusters::plane::{Eigen, Plane};
 use crate::lod::leaf_clusters::{self as core, Alpha, Drawing, Params, Texels, Transition};
+use crate::texture::Format;
 
 /// Parameters as the Python face states them: one of each pair of alternatives is given.
 #[derive(FromPyObject)]
@@ -82,7 +82,6 @@ impl LeafClusterFacts {
         };
         let eigens = [("exact", Eigen::Exact), ("paper", Eigen::Paper)];
         let flattens = [("project", Flatten::Project), ("rotate", Flatten::Rotate)];
-        let formats = [("rgba8", Format::Rgba8), ("rgb5a1", Format::Rgb5a1)];
         let drawings =
             [("test", Drawing::Test), ("coverage", Drawing::Coverage), ("blend", Drawing::Blend)];
         let texturings = [("direct", false), ("indirect", true)];
@@ -102,7 +101,7 @@ impl LeafClusterFacts {
                 .texels_per_metre
                 .map_or(Texels::Each(self.resolution.0, self.resolution.1), Texels::PerMetre),
             sample_count: self.samples,
-            format: choice("format", &self.format, &formats)?,
+            format: choice("format", &self.format, &Format::ALL)?,
             indirect: is_indirect.then_some(Indirect {
                 layer_count: self.layers,
                 rotation_count: self.rotation_count,

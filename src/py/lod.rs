@@ -12,14 +12,13 @@ use super::arrays::rows;
 use super::plant::Plant;
 use super::run::run;
 use super::view::CameraFacts;
-use crate::bake::Format;
 use crate::error::LodError;
 use crate::lod;
 use crate::lod::full_mesh::FullMesh;
 use crate::lod::slicings::{Correction, LargeLeaves, Params, Slicings};
 use crate::lod::view_blend::ViewBlend;
 use crate::lod::wood::Wood;
-use crate::texture::Filter;
+use crate::texture::{Filter, Format};
 
 /// A plant as one technique stands for it. Immutable.
 #[pyclass(frozen, module = "treelod._core")]
@@ -147,7 +146,6 @@ pub(super) fn slicings<'py>(
         CorrectionFacts::Named(name) => choice("correction", &name, &corrections)?,
     };
     let large = [("split", LargeLeaves::Split), ("mesh", LargeLeaves::Mesh)];
-    let formats = [("rgba8", Format::Rgba8), ("rgb5a1", Format::Rgb5a1)];
     let views = views.map(|views| views.iter().map(CameraFacts::view).collect()).transpose()?;
     let params = Params {
         blend: ViewBlend::new(&directions, triangles)?,
@@ -156,7 +154,7 @@ pub(super) fn slicings<'py>(
         sample_count: samples,
         correction,
         large_leaves: choice("large_leaves", large_leaves, &large)?,
-        format: choice("format", format, &formats)?,
+        format: choice("format", format, &Format::ALL)?,
         wood: wood_from(wood, wood_triangle_count),
         views,
     };

@@ -13,6 +13,7 @@ from treelod import _core
 from treelod.render import camera_facts, thread_count
 from treelod.techniques.technique import (
     Technique,
+    TextureFormat,
     core_of,
     flag,
     number,
@@ -189,7 +190,7 @@ class LeafClusters(Technique):
         resolution: int | tuple[int, int] = 512,
         texels_per_metre: float | None = None,
         samples: int = 16,
-        format: Literal["rgba8", "rgb5a1"] = "rgba8",  # noqa: A002
+        format: TextureFormat = "rgba8",  # noqa: A002
         texturing: Literal["direct", "indirect"] = "direct",
         layers: int = 2,
         rotation_count: int = 64,
@@ -249,8 +250,8 @@ class LeafClusters(Technique):
             Texels of a card by its size instead; then `resolution` does not count.
         samples : int, default 16
             Samples a texel, as in `treelod.render`.
-        format : {'rgba8', 'rgb5a1'}, default 'rgba8'
-            Texels as stored: four bytes, or two with one bit of alpha.
+        format : TextureFormat, default 'rgba8'
+            How texels are stored, and what that makes of them.
         texturing : {'direct', 'indirect'}, default 'direct'
             Whether a card stores its texels, or names the leaves that are seen in it: all leaves
             are then drawn as turned copies of one, each with its own tint. Then `resolution`,

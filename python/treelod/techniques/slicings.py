@@ -9,7 +9,14 @@ import numpy as np
 
 from treelod import _core
 from treelod.render import camera_facts, thread_count
-from treelod.techniques.technique import Technique, core_of, resolution_texels, whole, wood_facts
+from treelod.techniques.technique import (
+    Technique,
+    TextureFormat,
+    core_of,
+    resolution_texels,
+    whole,
+    wood_facts,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -72,7 +79,7 @@ class Slicings(Technique):
         correction: float | Literal["fit", "optical"] = 0.5,
         large_leaves: Literal["split", "mesh"] = "split",
         orientations: Literal["circle", "sphere"] | ArrayLike = "circle",
-        format: Literal["rgba8", "rgb5a1"] = "rgba8",  # noqa: A002
+        format: TextureFormat = "rgba8",  # noqa: A002
         views: Sequence[Camera] | None = None,
         wood: bool = True,
         wood_triangle_count: int | None = None,
@@ -108,8 +115,8 @@ class Slicings(Technique):
             Directions from the crown to the viewer: evenly on the horizontal circle, evenly on the
             sphere (at least 4), or given. Given directions must all be horizontal, or surround the
             plant; a single one may point anywhere.
-        format : {'rgba8', 'rgb5a1'}, default 'rgba8'
-            Texels as stored: four bytes, or two with one bit of alpha.
+        format : TextureFormat, default 'rgba8'
+            How texels are stored, and what that makes of them.
         views : sequence of Camera, optional
             The cameras that will look. Only slicings that one of them shows are baked, with no
             more texels than the nearest one has pixels; other cameras are then refused where they

@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -20,6 +20,7 @@ __all__ = [
     "BakedTexture",
     "Footprint",
     "Technique",
+    "TextureFormat",
     "core_of",
     "flag",
     "number",
@@ -28,6 +29,17 @@ __all__ = [
     "whole",
     "wood_facts",
 ]
+
+TextureFormat = Literal["rgba8", "rgb5a1", "rgb8", "palette8", "bc1", "bc3", "bc7"]
+"""
+How baked textures are stored; they are drawn from what their format gives back.
+
+``"rgba8"``: 8 bits a colour and of alpha, 4 bytes a texel. ``"rgb5a1"``: 5 bits a colour and 1 of
+alpha, 2 bytes. ``"rgb8"``: 8 bits a colour, black is transparent, 3 bytes. ``"palette8"``: one of
+256 colours with alpha, a byte, and 1 KiB a texture. ``"bc1"``, ``"bc3"``, ``"bc7"``: blocks of
+texels as graphics cards read them; half a byte with 1 bit of alpha, a byte with alpha of its own,
+and a byte in the way that suits each block best.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)

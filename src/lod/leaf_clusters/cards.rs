@@ -200,7 +200,7 @@ impl<'a> Baker<'a> {
     fn direct(&mut self, leaves: &Leaves<'_>, tiles: &[Tile<'_>]) -> Result<Baked, LodError> {
         let sizes: Vec<(u32, u32)> = tiles.iter().map(|tile| tile.size).collect();
         let atlas = Atlas::new(self.argument(), &sizes)?;
-        let (keep, format) = (self.keep(), self.params.format);
+        let keep = self.keep();
         let mut levels = atlas.levels();
         for (number, tile) in tiles.iter().enumerate() {
             self.job.check()?;
@@ -213,7 +213,7 @@ impl<'a> Baker<'a> {
             let count = self.params.sample_count;
             let image = bake(&mut self.renderer, &list, &view, count, self.job)?;
             let padded = atlas.padded(number, &image);
-            let made = bake::levels(&padded, keep, format, self.job)?;
+            let made = bake::levels(&padded, keep, self.job)?;
             atlas.put(number, &made[finer_levels as usize..], &mut levels);
             self.job.advance();
         }
@@ -229,7 +229,7 @@ impl<'a> Baker<'a> {
             Part { corner, size, texels: Some([x, y, width, height]) }
         };
         let parts = (0..tiles.len()).map(part).collect();
-        let texture = bake::stored(levels, format)?.bounded();
+        let texture = bake::stored(levels, self.params.format, self.job)?.bounded();
         Ok((Picture::Direct(texture), parts, atlas.fill()))
     }
 

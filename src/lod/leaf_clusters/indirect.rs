@@ -21,7 +21,7 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use crate::bake::{self, BakeRect, Format, bake};
+use crate::bake::{self, BakeRect, bake};
 use crate::error::{LodError, check_in, check_limit};
 use crate::job::Job;
 use crate::lod::leaf_clusters::impostor::Impostor;
@@ -31,7 +31,7 @@ use crate::texture::atlas::Atlas;
 use crate::texture::distribution::{LeafPlace, MAX_LAYER_COUNT, MAX_ROTATION_COUNT, Parts};
 use crate::texture::mips::Keep;
 use crate::texture::srgb::srgb8_from_linear;
-use crate::texture::{Distribution, Filter, Sampler, Texture, Wrap};
+use crate::texture::{Distribution, Filter, Format, Sampler, Texture, Wrap};
 
 /// Points a side of a texel at which it is asked which leaves show there; 64 in all, a bit each.
 const PROBES: u32 = 8;
@@ -124,7 +124,7 @@ impl LeafPicture {
             let list = leaves.list(&view, &[Placed { leaf, cut: false }], [0.0, f32::INFINITY]);
             let image = bake(renderer, &list, &view, sample_count, job)?;
             let padded = atlas.padded(version, &image);
-            atlas.put(version, &bake::levels(&padded, keep, Format::Rgba8, job)?, &mut levels);
+            atlas.put(version, &bake::levels(&padded, keep, job)?, &mut levels);
         }
         #[expect(clippy::cast_possible_truncation, reason = "texture coordinates are f32")]
         let in_atlas = |version: usize, at: [f64; 2]| {
@@ -133,7 +133,7 @@ impl LeafPicture {
         };
         let corner = |version| in_atlas(version, [0.0, 0.0]);
         Ok(Self {
-            texture: bake::stored(levels, Format::Rgba8)?,
+            texture: bake::stored(levels, Format::Rgba8, job)?,
             versions: (0..params.rotation_count).map(corner).collect(),
             version_size: in_atlas(0, [1.0, 1.0]) - corner(0),
             side,

@@ -8,7 +8,6 @@ use super::kmeans::Init;
 use super::level_rule::LevelRule;
 use super::plane::{Eigen, Plane};
 use super::{Alpha, Drawing, Flatten, LeafClusters, Outline, Params, Texels, Transition};
-use crate::bake::Format;
 use crate::draw_list::{Blend, DrawList, Source, Surface};
 use crate::error::LodError;
 use crate::job::Job;
@@ -20,7 +19,7 @@ use crate::lod::made::{
 use crate::lod::wood::Wood;
 use crate::lod::{Crown, Representation};
 use crate::plant::Plant;
-use crate::texture::Filter;
+use crate::texture::{Filter, Format};
 use crate::view::View;
 
 fn params(cluster_counts: &[usize], side: u32) -> Params {

@@ -7,7 +7,6 @@ use glam::{DAffine3, DQuat, DVec3, Vec3, Vec4};
 use super::opacity::Opacity;
 use super::slabs::Layout;
 use super::{Correction, LargeLeaves, Measured, Params, Slicings};
-use crate::bake::Format;
 use crate::draw_list::{Blend, DrawList};
 use crate::error::LodError;
 use crate::job::Job;
@@ -21,7 +20,7 @@ use crate::lod::view_blend::{ViewBlend, circle};
 use crate::lod::wood::Wood;
 use crate::lod::{Footprint, ListBuilder, Representation};
 use crate::plant::{AlphaMode, Plant};
-use crate::texture::Filter;
+use crate::texture::{Filter, Format};
 use crate::view::View;
 use crate::view_state::ViewState;
 
