@@ -14,8 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import treelod
-from treelod import cli
-from treelod.cli import app
+from treelod.cli import app, options
 from treelod.techniques import REGISTRY
 
 FEW = ["--azimuths", "1", "--elevations", "0", "--size", "64x48", "--distances", "2.5"]
@@ -81,7 +80,7 @@ def test_grow_refuses_a_file_it_cannot_write_before_it_grows(
     run, tmp_path, monkeypatch, target, why
 ):
     (tmp_path / "a.glb").mkdir()
-    monkeypatch.setattr(cli, "grow_plant", lambda *_, **__: pytest.fail("it grows"))
+    monkeypatch.setattr("treelod.cli.grow.grow_plant", lambda *_, **__: pytest.fail("it grows"))
     done = run("grow", "chestnut", "-o", str(tmp_path / target))
     assert done.exit_code == 1
     assert why in done.stderr
@@ -146,7 +145,7 @@ def test_demo_small_by_default_into_demo(run, tmp_path, monkeypatch):
     ],
 )
 def test_values_of_parameters(text, value):
-    read = cli._value(text)
+    read = options.value_of(text)
     assert (read, type(read)) == (value, type(value))
 
 
