@@ -10,7 +10,7 @@ MATURIN_ZIG := $(MATURIN:uvx=uvx --with ziglang==0.17.*) maturin
 PYTHON_SOURCES := $(wildcard python tests docs benches notebooks)
 
 .DEFAULT_GOAL := all
-.PHONY: all setup build fmt lint lint-rust lint-python lint-stubs test bench demo wheel clean help
+.PHONY: all setup build fmt lint lint-rust lint-python lint-stubs test docs bench demo wheel clean help
 
 all: lint test ## lint, then test
 
@@ -52,6 +52,11 @@ lint-stubs:
 
 test: ## every test that is not marked slow
 	uv run --locked pytest
+
+# All pages anew each time: a page that is not read again would not tell its warnings again.
+docs: ## the documentation's site, target/docs/index.html; warnings are errors
+	uv run --locked --group docs sphinx-build -E -q -W --keep-going -b html -c docs \
+		-d target/docs-read . target/docs
 
 # For the techniques: many repeats at few views, since the time is asked for and not the error.
 bench: ## times against other tools, and of every technique; close other programs first

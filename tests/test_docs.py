@@ -83,7 +83,8 @@ def help_of(*command):
 def commands_of(text):
     """Pairs of a command and an option (or None) that a document tells people to type."""
     pairs = set()
-    code = [*FENCE.findall(text), *re.findall(r"`([^`\n]+)`", FENCE.sub("", text))]
+    fenced = [block for block in FENCE.findall(text) if not block.startswith("```python")]
+    code = [*fenced, *re.findall(r"`([^`\n]+)`", FENCE.sub("", text))]
     for line in "\n".join(code).splitlines():
         for command, rest in re.findall(r"\btreelod ([a-z]+)((?: [^#&|]*)?)", line):
             pairs.add((command, None))
@@ -104,6 +105,7 @@ def test_commands_exist():
 
 def test_commands_are_found():
     text = "```sh\nuv run treelod demo -o x --seed 1  # grows --not\n```\n and `treelod grow` too"
+    text += "\n```python\nfrom treelod import plots\n```\n"
     assert commands_of(text) == {
         ("demo", None),
         ("demo", "-o"),
