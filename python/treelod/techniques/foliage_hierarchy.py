@@ -293,7 +293,7 @@ class FoliageHierarchy(Technique):
         leaf_count : int, optional
             Draw this many quads in every view; see `at`.
         quad_px : float, optional
-            Draw quads of this size all over a crown; see `uniform`.
+            Draw quads of this side in pixels all over a crown; see `uniform`.
         ball_px : float, optional
             Draw nodes whose ball looks at most this many pixels across, wherever they are: the
             criterion ``treelod.criteria.screen_size(ball_px)``. Default, if none of these four is
