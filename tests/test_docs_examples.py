@@ -1,7 +1,8 @@
 """
 Every example of the documents runs.
 
-The blocks of a page marked ``python`` run in their order, in one namespace, in an empty folder.
+The blocks of a page marked ``python`` run in their order, in one namespace, in an empty folder. If
+there are tests among them, pytest runs those of the page together, as a file of their own.
 One that cannot run here says why after its language: ```` ```python no-run: needs a GPU ````.
 """
 
@@ -9,6 +10,9 @@ import ast
 import contextlib
 import io
 import re
+import subprocess
+import sys
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import matplotlib as mpl
@@ -19,7 +23,7 @@ DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 
 BLOCK = re.compile(r"^( *)(`{3,})([^\n`]*)\n(.*?)^\1\2 *$", re.MULTILINE | re.DOTALL)
 
-MOST_NOT_RUN = 0
+MOST_NOT_RUN = 1
 """Blocks that may be marked as not to be run, in all documents together."""
 
 
@@ -78,12 +82,33 @@ def _alone(tmp_path, monkeypatch):
     plt.close("all")
 
 
+def run_tests(text):
+    """Let pytest run the tests among a document's examples, with treelod's plugin."""
+    Path("test_page.py").write_text("\n\n".join(code for code, _ in examples_of(text)), "utf-8")
+    has_plugin = any(
+        point.value == "pytest_treelod" for point in entry_points(group="pytest11", name="treelod")
+    )
+    plugin = [] if has_plugin else ["-p", "pytest_treelod"]
+    result = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *plugin, "test_page.py"],
+        capture_output=True,
+        text=True,
+        check=False,
+        stdin=subprocess.DEVNULL,
+    )
+    return result.returncode, result.stdout + result.stderr
+
+
 WITH_EXAMPLES = [d for d in DOCUMENTS if examples_of(d.read_text(encoding="utf-8"))]
 
 
 @pytest.mark.parametrize("document", WITH_EXAMPLES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_examples_run(document):
-    run(str(document), document.read_text(encoding="utf-8"))
+    text = document.read_text(encoding="utf-8")
+    run(str(document), text)
+    if any(re.search(r"^def test_", code, re.MULTILINE) for code, _ in examples_of(text)):
+        code, output = run_tests(text)
+        assert code == 0, output
 
 
 def test_blocks_that_do_not_run_are_few():
@@ -127,6 +152,13 @@ def test_a_broken_example_is_found():
     with pytest.raises(ZeroDivisionError) as caught:
         run("made.md", "# Title\n\n```python\na = 1\na / 0\n```\n")
     assert caught.traceback[-1].lineno + 1 == 5, "the document's own line"
+
+
+def test_a_failing_test_of_a_page_is_found():
+    page = "```python\ndef test_it(treelod_plant):\n    assert treelod_plant is {}\n```\n"
+    assert run_tests(page.format("not None"))[0] == 0
+    code, output = run_tests(page.format("None"))
+    assert code == 1, output
 
 
 @pytest.mark.parametrize("rest", ["no-run", "no-run:", "no-run: slow", "no-run because slow"])

@@ -71,7 +71,10 @@ def resolve(
     found = place and env.get_domain("py").resolve_xref(
         env, node["refdoc"], app.builder, "obj", place, node, content
     )
-    if found is None and target.islower() and "." not in target:
+    is_plain = target.islower() and "." not in target
+    # of another library: not linked, but it has to be there
+    is_foreign = "." in target and not target.startswith("treelod.") and pydoc.locate(target)
+    if found is None and (is_plain or is_foreign):
         content["classes"] = []
         return content
     return found
