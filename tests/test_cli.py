@@ -80,7 +80,7 @@ def test_grow_refuses_a_file_it_cannot_write_before_it_grows(
     run, tmp_path, monkeypatch, target, why
 ):
     (tmp_path / "a.glb").mkdir()
-    monkeypatch.setattr("treelod.cli.grow.grow_plant", lambda *_, **__: pytest.fail("it grows"))
+    monkeypatch.setattr("treelod.cli.subjects.grow_plant", lambda *_, **__: pytest.fail("it grows"))
     done = run("grow", "chestnut", "-o", str(tmp_path / target))
     assert done.exit_code == 1
     assert why in done.stderr

@@ -12,6 +12,7 @@ import typer.main
 
 import treelod
 from treelod.cli import app
+from treelod.cli.options import technique_of
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -142,7 +143,7 @@ def parse(words):
     name, command, rest = group.resolve_command(context, [*words])
     parsed = command.make_context(name, rest, parent=context).params
     for spec in parsed.get("technique") or ():
-        treelod.cli._technique(spec)
+        technique_of(spec)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
