@@ -1,6 +1,7 @@
 """Pictures through the public face: their planes, their numbers, and what is refused."""
 
 import dataclasses
+import io
 import os
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import textwrap
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import treelod as tl
 from made_plants import crown, facing, random_crown
@@ -60,6 +62,16 @@ def test_planes_that_were_not_asked_for_are_none(mesh):
         planes = {other: getattr(frame, other) for other in OUTPUTS}
         assert [other for other, plane in planes.items() if plane is not None] == [name]
         np.testing.assert_array_equal(planes[name], getattr(whole, name))
+
+
+def test_a_notebook_shows_the_picture_on_white(mesh):
+    frame = tl.render(mesh, CAMERA)
+    shown = np.asarray(Image.open(io.BytesIO(frame._repr_png_())))
+    white = tl.render(mesh, CAMERA, background=(1, 1, 1)).color
+    np.testing.assert_array_equal(shown, quantize(srgb_from_linear(white[..., :3])))
+    assert (shown[0, 0] == 255).all(), "nothing is drawn in this corner"
+    assert len(np.unique(shown)) > 2
+    assert tl.render(mesh, CAMERA, outputs=["depth"])._repr_png_() is None
 
 
 def test_a_square_is_where_the_camera_projects_it():

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from treelod import _core
+from treelod.color import composite, quantize, srgb_from_linear
 from treelod.errors import LimitError
 from treelod.scenes import Scene
 
@@ -122,6 +123,13 @@ class Frame:
         width, height = self.camera.size
         planes = [name for name in OUTPUTS if getattr(self, name) is not None]
         return f"Frame({width} x {height}, {', '.join(planes)})"
+
+    def _repr_png_(self) -> bytes | None:
+        """Show the picture in a notebook, on white; None without `color`."""
+        if self.color is None:
+            return None
+        shown = quantize(srgb_from_linear(composite(self.color, 1.0)))
+        return _core.encode_png(np.ascontiguousarray(shown))
 
 
 class ViewState:

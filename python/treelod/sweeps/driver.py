@@ -21,6 +21,7 @@ from treelod.columns import source_columns
 from treelod.comparison import Progress
 from treelod.errors import SweepError, SweepWarning
 from treelod.kernel_version import kernel_version
+from treelod.notebook import LiveLine, is_notebook
 from treelod.plants import Plant
 from treelod.render import check_size, sample_count, thread_count
 from treelod.results import View
@@ -117,8 +118,9 @@ def sweep(
         Where plants came from, by name, stored with their rows: ``sha256`` and ``seed`` become
         columns.
     progress : bool or callable, default True
-        Whether to show bars where the error stream is a terminal; or what is called with a stage
-        ("cells" or "timing"), how many of its steps are done, and how many there are.
+        Whether to show bars where the error stream is a terminal, and a line in a notebook; or what
+        is called with a stage ("cells" or "timing"), how many of its steps are done, and how many
+        there are.
 
     Returns
     -------
@@ -471,7 +473,11 @@ class _shown:  # noqa: N801
     """Gives what reports progress; ends its bars."""
 
     def __init__(self, progress: bool | Progress) -> None:  # noqa: FBT001
-        self._stages = Stages() if progress is True and sys.stderr.isatty() else None
+        self._stages: Stages | LiveLine | None = None
+        if progress is True and is_notebook():
+            self._stages = LiveLine()
+        elif progress is True and sys.stderr.isatty():
+            self._stages = Stages()
         self._call = progress if callable(progress) else self._stages
 
     def __enter__(self) -> Progress:
