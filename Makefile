@@ -10,7 +10,7 @@ MATURIN_ZIG := $(MATURIN:uvx=uvx --with ziglang==0.17.*) maturin
 PYTHON_SOURCES := $(wildcard python tests docs benches notebooks)
 
 .DEFAULT_GOAL := all
-.PHONY: all setup build fmt lint lint-rust lint-python lint-stubs test docs bench demo wheel clean help
+.PHONY: all setup build fmt lint lint-rust lint-python lint-stubs test docs bench demo notebooks wheel clean help
 
 all: lint test ## lint, then test
 
@@ -71,6 +71,9 @@ bench: ## times against other tools, and of every technique; close other program
 demo: ## grow a tree, measure it, write demo/report.html
 	uv run --locked treelod demo
 
+notebooks: ## run the notebooks from nothing, and store them with their outputs
+	uv run --locked python notebooks/make_notebooks.py
+
 wheel: ## dist/*.whl for any Linux with glibc 2.28 or later
 	$(MATURIN_ZIG) build --release --locked --zig --compatibility manylinux_2_28 --out dist
 
@@ -78,7 +81,7 @@ wheel: ## dist/*.whl for any Linux with glibc 2.28 or later
 # that it once put into python/ is gone. A new time on one of its cache keys makes it build again.
 clean: ## remove what was built
 	cargo clean
-	rm -rf dist demo .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf dist demo notebooks/sweeps .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	rm -f python/treelod/_core*.so
 	find python tests -name __pycache__ -type d -prune -exec rm -rf {} +
 	touch pyproject.toml
