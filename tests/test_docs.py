@@ -163,7 +163,7 @@ def test_dependencies_have_their_reason():
     contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     cargo = tomllib.loads((ROOT / "Cargo.toml").read_text(encoding="utf-8"))
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    groups = project["dependency-groups"]
+    groups = project["dependency-groups"] | project["project"]["optional-dependencies"]
     expected = {
         "| Rust | why |": [*cargo["dependencies"], *cargo["dev-dependencies"]],
         "| Python | why |": project["project"]["dependencies"],
