@@ -104,7 +104,8 @@ def choices_of(name, parameter):
     module = inspect.getmodule(REGISTRY[name])
     annotation = inspect.signature(REGISTRY[name].build).parameters[parameter].annotation
     names = {**vars(package), **vars(module), "Literal": typing.Literal, "Any": typing.Any}
-    found = []
+    # an alias names its type, which more than one technique has
+    found = [*typing.get_args(names.get(annotation))]
     for part in re.findall(r"Literal\[([^\]]*)\]", annotation):
         found += typing.get_args(eval(f"Literal[{part}]", names))
     return found

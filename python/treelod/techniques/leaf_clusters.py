@@ -250,8 +250,8 @@ class LeafClusters(Technique):
             Texels of a card by its size instead; then `resolution` does not count.
         samples : int, default 16
             Samples a texel, as in `treelod.render`.
-        format : TextureFormat, default 'rgba8'
-            How texels are stored, and what that makes of them.
+        format : {'rgba8', 'rgb5a1', 'rgb8', 'palette8', 'bc1', 'bc3', 'bc7'}, default 'rgba8'
+            How texels are stored, and so what is drawn of them; see `TextureFormat`.
         texturing : {'direct', 'indirect'}, default 'direct'
             Whether a card stores its texels, or names the leaves that are seen in it: all leaves
             are then drawn as turned copies of one, each with its own tint. Then `resolution`,

@@ -115,8 +115,8 @@ class Slicings(Technique):
             Directions from the crown to the viewer: evenly on the horizontal circle, evenly on the
             sphere (at least 4), or given. Given directions must all be horizontal, or surround the
             plant; a single one may point anywhere.
-        format : TextureFormat, default 'rgba8'
-            How texels are stored, and what that makes of them.
+        format : {'rgba8', 'rgb5a1', 'rgb8', 'palette8', 'bc1', 'bc3', 'bc7'}, default 'rgba8'
+            How texels are stored, and so what is drawn of them; see `TextureFormat`.
         views : sequence of Camera, optional
             The cameras that will look. Only slicings that one of them shows are baked, with no
             more texels than the nearest one has pixels; other cameras are then refused where they
