@@ -3,7 +3,6 @@
 import json
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -434,6 +433,52 @@ def test_refuses():
             plots.picture_strip(pictures)
 
 
+def test_a_table_of_several_plants_or_settings_is_refused_by_name():
+    table = sweep(columns=True).assign(timing="concurrent", threads=2, kernel_version="a")
+    half = np.arange(len(table)) % 2 == 0
+    errors = (
+        plots.memory_against_error,
+        plots.error_by_azimuth,
+        plots.error_by_distance,
+        plots.error_heat_map,
+        plots.coverage,
+        lambda mixed: plots.error_against_parameter(mixed, "slice_count"),
+    )
+    times = (
+        plots.speed_against_error,
+        lambda mixed: plots.error_against_parameter(mixed, "slice_count", "frame_millis"),
+    )
+    for name, values in {
+        "plant": ("oak", "ash"),
+        "time_samples": (4, 8),
+        "reference_samples": (64, 16),
+        "ppd": (67.02, 30.0),
+        "kernel_version": ("a", "b"),
+        "timing": ("concurrent", "exclusive"),
+        "threads": (2, 1),
+    }.items():
+        mixed = table.assign(**{name: np.where(half, *values)})
+        advice = re.escape(f"table[table['{name}'] == {values[0]!r}]")
+        of_times = name in ("timing", "threads")
+        for plot in times if of_times else errors + times:
+            with pytest.raises(ValueError, match=f"2 values of '{name}'.*{advice}"):
+                plot(mixed)
+        for plot in errors if of_times else ():
+            plot(mixed)
+    # of what was not timed it does not matter
+    untimed = table.assign(threads=np.where(half, 2, 1))
+    plots.speed_against_error(untimed.assign(frame_millis=table["frame_millis"].where(half)))
+
+
+def test_plants_in_panels_of_their_own_and_missing_values_are_no_mixture():
+    table = sweep(columns=True)
+    half = np.arange(len(table)) % 2 == 0
+    plants = table.assign(plant=np.where(half, "oak", "ash"))
+    assert len(plots.error_against_parameter(plants, "slice_count", by="plant").axes) == 2
+    # a comparison, which has no such column, joined to a sweep
+    plots.error_by_distance(table.assign(kernel_version=np.where(half, "a", None)))
+
+
 def test_every_plot_is_a_picture_of_the_same_bytes():
     table = sweep(columns=True)
     for plot in (
@@ -444,11 +489,3 @@ def test_every_plot_is_a_picture_of_the_same_bytes():
         first, second = (plots.encode(plot(), "png", dpi=60) for _ in range(2))
         assert first == second
         assert first.startswith(b"\x89PNG")
-
-
-def test_the_documents_example_runs(tmp_path, monkeypatch):
-    text = (Path(__file__).parents[1] / "docs/plots.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    monkeypatch.chdir(tmp_path)
-    exec(compile(example, "docs/plots.md", "exec"), {})
-    assert (tmp_path / "slice_count.png").read_bytes().startswith(b"\x89PNG")

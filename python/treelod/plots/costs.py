@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import numpy as np
 
-from treelod.plots.settings import check_columns, legend_entries, looks
+from treelod.plots.settings import check_columns, legend_entries, looks, one_setting
 from treelod.plots.style import DODGE, STYLE, legend, panels, plain_log_ticks
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def walk_costs(table: pd.DataFrame) -> Figure:
     Raises
     ------
     ValueError
-        If a column is missing, or if the table is empty.
+        If a column is missing, if the table is empty, or if it mixes settings.
 
     Examples
     --------
@@ -52,6 +52,7 @@ def walk_costs(table: pd.DataFrame) -> Figure:
         table, "label", "tree_count", "primitives", "frame_millis", "frame_millis_low",
         "frame_millis_high",
     )  # fmt: skip
+    one_setting(table, timed=True)
     known = looks(table)
     counts = np.sort(table["tree_count"].unique())
     with mpl.rc_context(STYLE):

@@ -14,6 +14,7 @@ from treelod.plots.settings import (
     families,
     looks,
     metric_of,
+    one_setting,
     panel_values,
     range_text,
     shown,
@@ -108,7 +109,7 @@ def speed_against_error(table: pd.DataFrame, metric: MetricName = "flip") -> Fig
     ------
     ValueError
         If `metric` is unknown or was not measured, if a column is missing, if no row has a time,
-        or if the table is empty.
+        if the table is empty, or if it mixes plants or settings.
 
     Examples
     --------
@@ -146,7 +147,7 @@ def memory_against_error(table: pd.DataFrame, metric: MetricName = "flip") -> Fi
     ------
     ValueError
         If `metric` is unknown or was not measured, if a column is missing, or if the table is
-        empty.
+        empty, or if it mixes plants or settings.
 
     Examples
     --------
@@ -166,6 +167,7 @@ def memory_against_error(table: pd.DataFrame, metric: MetricName = "flip") -> Fi
 
 def _against_error(table: pd.DataFrame, metric: str, cost_name: str, cost_label: str) -> Figure:
     check_columns(table, "label", "distance", cost_name)
+    one_setting(table, timed=cost_name == "frame_millis")
     about = metric_of(table, metric)
     if table[cost_name].isna().all():
         msg = f"table has no value of {cost_name!r}: it was not measured"

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
-from treelod.plots.settings import check_columns, looks, metric_of, panel_values
+from treelod.plots.settings import check_columns, looks, metric_of, one_setting, panel_values
 from treelod.plots.style import STYLE, capped, ceiling_of
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def error_heat_map(
     ------
     ValueError
         If there is no such label, metric or column, if the metric was not measured, or if the
-        table is empty.
+        table is empty, or if it mixes plants or settings.
 
     Examples
     --------
@@ -72,6 +72,7 @@ def error_heat_map(
     'elevation (degrees)'
     """
     check_columns(table, "label", "distance", "azimuth_deg", "elevation_deg")
+    one_setting(table)
     about = metric_of(table, metric)
     labels = _asked(table, label)
     table = table[table["label"].isin(labels)]

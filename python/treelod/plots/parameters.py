@@ -17,6 +17,7 @@ from treelod.plots.settings import (
     is_log_spaced,
     looks,
     metric_of,
+    one_setting,
     panel_values,
     parameter_values,
     shown,
@@ -87,8 +88,8 @@ def error_against_parameter(
     Raises
     ------
     ValueError
-        If there is no such parameter, metric or column, if the parameter has one value only, or
-        if the table is empty.
+        If there is no such parameter, metric or column, if the parameter has one value only, if
+        the table is empty, or if it mixes plants (that `by` does not keep apart) or settings.
 
     Examples
     --------
@@ -109,6 +110,7 @@ def error_against_parameter(
         raise ValueError(msg)
     if by is not None:
         check_columns(table, by)
+    one_setting(table, timed=metric in ("frame_millis", "speedup"), apart=by)
     values = parameter_values(table, parameter)
     distinct = list(dict.fromkeys(value for value in values if value is not None))
     if len(distinct) < 2:

@@ -32,6 +32,7 @@ __all__ = [
     "legend_entries",
     "looks",
     "metric_of",
+    "one_setting",
     "panel_values",
     "parameter_values",
     "range_text",
@@ -95,6 +96,37 @@ def check_columns(table: pd.DataFrame, *names: str) -> None:
     if not len(table):
         msg = "table is empty: there is nothing to plot"
         raise ValueError(msg)
+
+
+_SETTINGS = ("plant", "time_samples", "reference_samples", "ppd", "kernel_version")
+"""Columns of which a mean over rows of several values would be of nothing."""
+
+_TIME_SETTINGS = ("timing", "threads")
+"""The same of times; errors are the same bits for every number of threads."""
+
+
+def one_setting(table: pd.DataFrame, *, timed: bool = False, apart: str | None = None) -> None:
+    """
+    Refuse a table that mixes plants, or ways of measuring, and so has no mean.
+
+    Columns may be missing, and values too: a comparison has no ``kernel_version``, so it can be
+    joined to a sweep. `timed` looks at what times depend on as well; `apart` is a column whose
+    values are kept apart.
+    """
+    rows = dict.fromkeys(_SETTINGS, table)
+    if timed and "frame_millis" in table.columns:
+        rows |= dict.fromkeys(_TIME_SETTINGS, table[table["frame_millis"].notna()])
+    for name, those in rows.items():
+        if name == apart or name not in those.columns:
+            continue
+        values = those[name].dropna().unique()
+        if len(values) > 1:
+            first = values[0].item() if isinstance(values[0], np.generic) else values[0]
+            msg = (
+                f"table has {len(values)} values of {name!r}, over which a mean says nothing: pick "
+                f"the rows of one, table[table[{name!r}] == {first!r}]"
+            )
+            raise ValueError(msg)
 
 
 def metric_of(table: pd.DataFrame, metric: str, *, costs: bool = False) -> Metric:

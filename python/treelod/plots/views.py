@@ -14,6 +14,7 @@ from treelod.plots.settings import (
     legend_entries,
     looks,
     metric_of,
+    one_setting,
     panel_values,
 )
 from treelod.plots.style import (
@@ -66,7 +67,7 @@ def error_by_azimuth(table: pd.DataFrame, metric: MetricName = "flip") -> Figure
     ------
     ValueError
         If `metric` is unknown or was not measured, if a column is missing, or if the table is
-        empty.
+        empty, or if it mixes plants or settings.
 
     Examples
     --------
@@ -79,6 +80,7 @@ def error_by_azimuth(table: pd.DataFrame, metric: MetricName = "flip") -> Figure
     'azimuth (degrees)'
     """
     check_columns(table, "label", "distance", "azimuth_deg", "elevation_deg")
+    one_setting(table)
     about = metric_of(table, metric)
     known = looks(table)
     distances = panel_values(table["distance"])
@@ -148,8 +150,8 @@ def error_by_distance(
     Raises
     ------
     ValueError
-        If a metric is unknown or was not measured, there is none, a column is missing, or the
-        table is empty.
+        If a metric is unknown or was not measured, there is none, a column is missing, the table
+        is empty, or it mixes plants or settings.
 
     Examples
     --------
@@ -165,6 +167,7 @@ def error_by_distance(
         msg = "metrics must name at least one error"
         raise ValueError(msg)
     check_columns(table, "label", "distance")
+    one_setting(table)
     known = looks(table)
     with mpl.rc_context(STYLE):
         figure, row = panels(len(metrics), widest=3.6)
@@ -197,7 +200,8 @@ def coverage(table: pd.DataFrame) -> Figure:
     Raises
     ------
     ValueError
-        If a column is missing, if coverage was not measured, or if the table is empty.
+        If a column is missing, if coverage was not measured, if the table is empty, or if it
+        mixes plants or settings.
 
     Examples
     --------
@@ -211,6 +215,7 @@ def coverage(table: pd.DataFrame) -> Figure:
     """
     name = "coverage_bias"
     check_columns(table, "label", "distance", "azimuth_deg", name)
+    one_setting(table)
     about = metric_of(table, name)
     known = looks(table)
     with mpl.rc_context(STYLE):
