@@ -75,6 +75,19 @@ def test_speed_against_error_shows_medians_and_means():
         assert "ms" in axes.get_xlabel()
 
 
+def test_the_front_of_coverage_bias_is_that_of_its_magnitude_over_views():
+    # the mesh is slow and never far off; slicings are quicker, but now too dense, now too thin
+    sign = np.where(np.arange(len(TABLE)) % 2 == 0, 1.0, -1.0)
+    is_mesh = (TABLE["label"] == "full_mesh").to_numpy()
+    table = TABLE.assign(coverage_bias=np.where(is_mesh, 0.1, 0.3 * sign))
+    figure = plots.speed_against_error(table, "coverage_bias")
+    for axes in figure.axes:
+        (front,) = [line for line in axes.get_lines() if line.get_drawstyle() == "steps-post"]
+        np.testing.assert_allclose(front.get_ydata(), [0.0, 0.1], atol=1e-12)
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert texts[-1] == "Pareto front of mean magnitudes"
+
+
 def test_error_by_azimuth_closes_the_circle():
     figure = plots.error_by_azimuth(TABLE)
     for axes in figure.axes:

@@ -185,6 +185,7 @@ def _against_error(table: pd.DataFrame, metric: str, cost_name: str, cost_label:
         for axes, distance in zip(row, distances, strict=True):
             here = table[table["distance"] == distance]
             points: dict[str, tuple[float, float]] = {}
+            badness: list[float] = []
             for family in grouped:
                 for label in family.labels:
                     rows = here[here["label"] == label]
@@ -192,17 +193,13 @@ def _against_error(table: pd.DataFrame, metric: str, cost_name: str, cost_label:
                         continue
                     marker = known[(family.labels if family.swept else [label])[0]].marker
                     look = known[label]
-                    points[label] = _point(
-                        axes,
-                        rows[cost_name],
-                        capped(rows[metric], ceiling),
-                        look,
-                        marker,
-                        with_bars,
-                    )
+                    values = capped(rows[metric], ceiling)
+                    points[label] = _point(axes, rows[cost_name], values, look, marker, with_bars)
+                    # of the views, not of their mean, in which signs cancel
+                    badness.append(float(about.badness(values).mean()))
                 labels += _join(axes, family, points, known)
             costs, middles = np.array(list(points.values())).T
-            front = pareto_front(costs, about.badness(middles))
+            front = pareto_front(costs, badness)
             # between two techniques there is nothing to have: a staircase, not a slope
             axes.plot(
                 costs[front],
@@ -225,7 +222,8 @@ def _against_error(table: pd.DataFrame, metric: str, cost_name: str, cost_label:
                 look = known[family.labels[0]]
                 line = Line2D([], [], color=look.color, marker=look.marker, linewidth=0.8)
                 entries.append((range_text(family), line))
-        legend(figure, [*entries, ("Pareto front", Line2D([], [], **FRONT))])
+        front_name = "Pareto front of mean magnitudes" if about.signed else "Pareto front"
+        legend(figure, [*entries, (front_name, Line2D([], [], **FRONT))])
         place_labels(figure, labels)
     return figure
 
