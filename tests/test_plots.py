@@ -99,6 +99,14 @@ def test_error_by_azimuth_closes_the_circle():
         assert len({line.get_linestyle() for line in lines}) == 2
 
 
+def test_an_arc_is_left_open():
+    arc = TABLE[TABLE["azimuth_deg"] < 200.0]
+    for axes in (*plots.error_by_azimuth(arc).axes, plots.coverage(arc).axes[1]):
+        lines = [line for line in axes.get_lines() if line.get_marker() in ("o", "s")]
+        assert lines
+        assert all(list(line.get_xdata()) == [0, 90, 180] for line in lines)
+
+
 def test_infinite_psnr_is_drawn_above_all_finite_ones_and_named():
     figure = plots.error_by_distance(TABLE, ("psnr",))
     (axes,) = figure.axes

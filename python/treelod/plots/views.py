@@ -285,8 +285,13 @@ def _by_distance(axes: Axes, table: pd.DataFrame, metric: str, known: dict[str, 
 def _closed(
     azimuths: NDArray[np.float64], values: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Repeat what is at 0 at 360 degrees."""
-    if len(azimuths) > 2 and azimuths[0] == 0.0:
+    """Repeat what is at 0 at 360 degrees, unless that would bridge more than any other step."""
+    # of an arc the gap is where nobody looked; azimuths are worked out of positions
+    if (
+        len(azimuths) > 2
+        and azimuths[0] == 0.0
+        and 360.0 - azimuths[-1] <= np.diff(azimuths).max() * (1.0 + 1e-9)
+    ):
         return np.append(azimuths, 360.0), np.append(values, values[0])
     return azimuths, values
 
