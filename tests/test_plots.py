@@ -148,6 +148,22 @@ def test_of_many_distances_a_few_are_shown():
     assert titles == [f"distance {d} radii" for d in (2, 4, 6, 8)]
 
 
+@pytest.mark.parametrize(
+    "plot", [plots.speed_against_error, plots.memory_against_error, plots.error_by_azimuth]
+)
+def test_distances_that_are_left_out_are_counted_on_the_figure(plot):
+    for distances, note in (((2, 3, 4, 5, 6, 7, 8), "4 of 7 distances"), ((2, 3, 4, 5), "")):
+        figure = plot(comparison(distances=distances).table())
+        notes = [axes.get_title(loc="right") for axes in figure.axes]
+        assert notes == ["", "", "", note]
+
+
+def test_the_heat_map_counts_distances_that_are_left_out():
+    table = comparison(distances=(2, 3, 4, 5, 6, 7, 8)).table()
+    assert plots.error_heat_map(table).get_supxlabel() == "4 of 7 distances"
+    assert plots.error_heat_map(TABLE).get_supxlabel() == ""
+
+
 @pytest.mark.parametrize("metric", sorted(plots.METRICS))
 def test_every_metric_has_an_axis(metric):
     for figure in (

@@ -28,6 +28,7 @@ from treelod.plots.style import (
     panels,
     place_labels,
     plain_log_ticks,
+    say_left_out,
     share_y,
 )
 
@@ -99,11 +100,14 @@ def speed_against_error(table: pd.DataFrame, metric: MetricName = "flip") -> Fig
     Returns
     -------
     matplotlib.figure.Figure
-        A point a label: median frame time over the views of that distance against the mean
-        error; bars reach from the best to the worst view, for up to 12 labels. Several settings
-        of one technique share its colour; a thin line joins them in the order of the parameter
-        that was swept, whose first and last value stand beside its ends. The dashed staircase is
-        the Pareto front: nothing on it is beaten in both.
+        A panel a distance; of more than 4 the nearest, the farthest and two evenly between, which
+        the figure says. A point a label: median frame time over the views of that distance against
+        the mean error; bars reach from the best to the worst view, for up to 12 labels. Several
+        settings of one technique share its colour; a thin line joins them in the order of the
+        parameter that was swept, whose first and last value stand beside its ends. The dashed
+        staircase is the Pareto front: nothing on it is beaten in both. Of ``coverage_bias`` the
+        front is that of the mean magnitude over the views, because views too dense and views too
+        thin are both wrong though their mean may be 0; points stand at the mean all the same.
 
     Raises
     ------
@@ -141,7 +145,8 @@ def memory_against_error(table: pd.DataFrame, metric: MetricName = "flip") -> Fi
     Returns
     -------
     matplotlib.figure.Figure
-        As `speed_against_error`, with bytes of geometry and textures for the time.
+        As `speed_against_error`, with bytes of geometry and textures for the time. Of more than 4
+        distances 4 are shown here too.
 
     Raises
     ------
@@ -213,6 +218,7 @@ def _against_error(table: pd.DataFrame, metric: str, cost_name: str, cost_label:
             plain_log_ticks(axes, name=cost_name)
             axes.set_xlabel(cost_label)
             axes.set_title(f"distance {distance:.4g} radii")
+        say_left_out(row[-1], len(distances), table["distance"].nunique(), "distances")
         share_y(row, metric, about.label, ceiling, table[metric])
         entries: list[tuple[str, Any]] = []
         for family in grouped:

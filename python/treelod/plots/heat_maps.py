@@ -129,6 +129,10 @@ def error_heat_map(
             for axes in grid[:, 0]:
                 axes.set_ylabel("")
             figure.supylabel("elevation (degrees)", fontsize=9)
+        count = table["distance"].nunique()
+        if len(distances) < count:
+            note = f"{len(distances)} of {count} distances"
+            figure.supxlabel(note, x=0.99, ha="right", fontsize=7.5, color="#555555")
         bar = figure.colorbar(mesh, ax=grid, shrink=1.0, aspect=max(12, 8 * len(labels)), pad=0.015)
         bar.set_label(
             about.label if ceiling is None else f"{about.label} (∞ shown as {ceiling:.0f})"

@@ -31,6 +31,7 @@ from treelod.plots.style import (
     legend,
     panels,
     plain_log_ticks,
+    say_left_out,
     share_y,
 )
 
@@ -47,6 +48,13 @@ _TITLES = {
     "elevation_deg": "elevation {:g}°",
     "azimuth_deg": "azimuth {:g}°",
     "plant": "{}",
+}
+
+_MANY = {
+    "distance": "distances",
+    "elevation_deg": "elevations",
+    "azimuth_deg": "azimuths",
+    "plant": "plants",
 }
 
 _MAX_BANDS = 3
@@ -176,6 +184,8 @@ def error_against_parameter(
             _parameter_axis(axes, parameter, distinct, numeric=numeric, log=log)
             if by is not None:
                 axes.set_title(_TITLES[by].format(here))
+        if by is not None:
+            say_left_out(row[-1], len(panel_by), table[by].nunique(), _MANY[by])
         if len(lines) > _MAX_BANDS:
             drawn_values = pd.Series(middles)
         if about.log and (drawn_values.dropna() > 0.0).all():

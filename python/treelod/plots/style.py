@@ -46,6 +46,7 @@ __all__ = [
     "panels",
     "place_labels",
     "plain_log_ticks",
+    "say_left_out",
     "share_y",
     "short_bytes",
 ]
@@ -225,6 +226,12 @@ def panels(
     width = widest * columns if count > 1 else 1.5 * widest
     figure = Figure(figsize=(width, PANEL_INCHES[1] * rows), layout="constrained")
     return figure, list(figure.subplots(rows, columns, squeeze=False).flat)[:count]
+
+
+def say_left_out(axes: Axes, shown: int, count: int, what: str) -> None:
+    """Write above the last panel that not all have one; nothing where they do."""
+    if shown < count:
+        axes.set_title(f"{shown} of {count} {what}", loc="right", fontsize=7.5, color="#555555")
 
 
 def ceiling_of(values: pd.Series[Any]) -> float | None:

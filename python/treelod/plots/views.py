@@ -26,6 +26,7 @@ from treelod.plots.style import (
     legend,
     panels,
     plain_log_ticks,
+    say_left_out,
     share_y,
 )
 
@@ -60,8 +61,9 @@ def error_by_azimuth(table: pd.DataFrame, metric: MetricName = "flip") -> Figure
     Returns
     -------
     matplotlib.figure.Figure
-        A line a label and elevation; the elevations differ in dashes. Of more than 6 labels it is
-        the mean over elevations. A full circle is closed.
+        A panel a distance; of more than 4 the nearest, the farthest and two evenly between, which
+        the figure says. A line a label and elevation; the elevations differ in dashes. Of more
+        than 6 labels it is the mean over elevations. A full circle is closed, an arc is not.
 
     Raises
     ------
@@ -113,6 +115,7 @@ def error_by_azimuth(table: pd.DataFrame, metric: MetricName = "flip") -> Figure
                     )
             _azimuth_axis(axes)
             axes.set_title(f"distance {distance:.4g} radii")
+        say_left_out(row[-1], len(distances), table["distance"].nunique(), "distances")
         share_y(row, metric, about.label, ceiling, table[metric])
         entries = legend_entries(table)
         if len(elevations) > 1:
