@@ -479,6 +479,22 @@ def test_plants_in_panels_of_their_own_and_missing_values_are_no_mixture():
     plots.error_by_distance(table.assign(kernel_version=np.where(half, "a", None)))
 
 
+def test_every_plot_shows_itself_in_a_notebook_once():
+    # a formatter without matplotlib's own printers: no pyplot, no magic command
+    formatter = pytest.importorskip("IPython.core.formatters", reason="no IPython").DisplayFormatter
+    table = sweep(columns=True)
+    crown = random_crown(5)
+    frame = tl.render(tl.FullMesh.build(crown), tl.orbit(crown, 1, size=(32, 32))[0])
+    for figure in (
+        plots.error_heat_map(table, LABELS[0]),
+        plots.popping(switch_table()),
+        plots.picture_strip({"a": frame}, frame),
+    ):
+        data, _ = formatter().format(figure)
+        assert data["image/png"].startswith(b"\x89PNG")
+        assert "image/svg+xml" not in data
+
+
 def test_every_plot_is_a_picture_of_the_same_bytes():
     table = sweep(columns=True)
     for plot in (

@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
 from treelod.plots.settings import check_columns, looks, metric_of, one_setting, panel_values
-from treelod.plots.style import STYLE, capped, ceiling_of
+from treelod.plots.style import STYLE, ShownFigure, capped, ceiling_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import pandas as pd
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from treelod.plots.style import MetricName
@@ -99,7 +99,7 @@ def error_heat_map(
         cell_width, cell_height = _CELL_INCHES
         width = max(cell_width * len(azimuths), 1.5)
         height = max(cell_height * len(elevations), 0.55)
-        figure = Figure(
+        figure = ShownFigure(
             figsize=(
                 max(width * len(distances) + 1.7, 4.2),
                 max((height + 0.3) * len(labels) + 0.9, 2.0),

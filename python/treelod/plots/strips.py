@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
 
 from treelod import metrics
 from treelod.color import composite, quantize, srgb_from_linear
-from treelod.plots.style import STYLE
+from treelod.plots.style import STYLE, ShownFigure
 from treelod.render import Frame
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from treelod.results import Picture
@@ -91,7 +91,7 @@ def picture_strip(
     heights = [_height(row) for row in rows]
     with mpl.rc_context(STYLE | {"axes.grid": False}):
         width = _TEXT_INCHES + 3 * _PANEL_INCHES + 0.75
-        figure = Figure(
+        figure = ShownFigure(
             figsize=(width, sum(heights) + 0.12 * len(rows) + 0.35), layout="constrained"
         )
         figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03, wspace=0.0, hspace=0.0)  # type: ignore[union-attr,call-arg]

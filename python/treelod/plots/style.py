@@ -38,6 +38,7 @@ __all__ = [
     "STYLE",
     "Metric",
     "MetricName",
+    "ShownFigure",
     "capped",
     "ceiling_of",
     "encode",
@@ -97,6 +98,9 @@ DODGE = 0.035
 
 FRONT: Any = {"color": "#999999", "linestyle": (0, (3, 2))}
 """How a Pareto front is drawn."""
+
+_NOTEBOOK_DPI = 100.0
+"""Pixels an inch in a notebook, where one is a pixel of the screen."""
 
 LABEL_SIZE = 7.5
 """Of labels beside points, in points."""
@@ -180,6 +184,17 @@ COSTS = {
 MetricName = Literal["flip", "rmse", "psnr", "ssim", "max_error", "coverage_error", "coverage_bias"]
 
 
+class ShownFigure(Figure):
+    """
+    A figure that shows itself as the last value of a notebook's cell, with no pyplot to help.
+
+    Where pyplot's inline pictures are on, they go first, and it is shown once all the same.
+    """
+
+    def _repr_png_(self) -> bytes:
+        return encode(self, "png", dpi=_NOTEBOOK_DPI)
+
+
 def encode(figure: Figure, kind: Literal["svg", "png"] = "svg", *, dpi: float = 200.0) -> bytes:
     """
     Return a figure as the bytes of a picture file; the same figure gives the same bytes.
@@ -224,7 +239,7 @@ def panels(
     """Make a figure of `count` panels in rows; a single one is half as wide again."""
     columns = -(-count // rows)
     width = widest * columns if count > 1 else 1.5 * widest
-    figure = Figure(figsize=(width, PANEL_INCHES[1] * rows), layout="constrained")
+    figure = ShownFigure(figsize=(width, PANEL_INCHES[1] * rows), layout="constrained")
     return figure, list(figure.subplots(rows, columns, squeeze=False).flat)[:count]
 
 
