@@ -375,6 +375,16 @@ def test_popping_draws_a_stem_a_switch():
     assert axes.get_xticks().tolist() == [0, 90, 180, 270, 360]
 
 
+def test_popping_says_that_not_all_was_measured():
+    table = switch_table()
+    assert texts_of(plots.popping(table)) == ["a", "b"]
+    table["complete"], table["changed_steps"] = [False, False, True], [30, 30, 1]
+    assert texts_of(plots.popping(table)) == ["a (2 of at least 30 measured)", "b"]
+    # several in one step
+    table["changed_steps"] = 1
+    assert texts_of(plots.popping(table)) == ["a (2 of at least 3 measured)", "b"]
+
+
 # All of them
 
 

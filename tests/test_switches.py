@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import treelod as tl
@@ -19,7 +20,7 @@ ACROSS = 1e-5
 """Of a distance: 64 pixels grow by a ten thousandth of one when the eye comes nearer by 4e-6."""
 
 COLUMNS = ["label", "path", "distance", "azimuth_deg", "elevation_deg", "flip", "coverage_bias",
-           "motion_px", "what"]  # fmt: skip
+           "motion_px", "what", "complete", "changed_steps"]  # fmt: skip
 
 
 def camera(azimuth_deg=0.0, distance=4.0, size=(64, 64)):
@@ -133,6 +134,10 @@ def test_what_changes_all_the_way_is_bounded_and_spread_over_the_path():
     few = switches(lod, [camera(0, 3), camera(0, 3.5)], step_count=1, max_switches=4)
     assert len(few) == 4
     assert few.attrs["changed_steps"] == 1
+    # and in rows: joined tables keep them
+    both = pd.concat([found, few], ignore_index=True)
+    assert both["changed_steps"].tolist() == [found.attrs["changed_steps"]] * 5 + [1] * 4
+    assert not both["complete"].any()
     assert not few.attrs["complete"]
 
 

@@ -46,7 +46,7 @@ Signature = tuple[tuple[str, int, int], ...]
 
 _COLUMNS = (
     "label", "path", "distance", "azimuth_deg", "elevation_deg", "flip", "coverage_bias",
-    "motion_px", "what",
+    "motion_px", "what", "complete", "changed_steps",
 )  # fmt: skip
 
 
@@ -98,8 +98,9 @@ def switches(
         ``elevation_deg`` say where the eye is. ``flip`` and ``coverage_bias`` are those of the far
         side against the near one, as in `metrics.popping`; ``motion_px`` is how far the two
         cameras' pictures are apart. ``what`` says which primitives come and go, or that their order
-        does. ``attrs`` holds "complete" (whether every switch found is in the table),
-        "changed_steps" and "step_count" of the whole path.
+        does. ``complete`` says whether every switch found is in the table, and ``changed_steps``
+        how many steps of the path have any, the same in all rows, so that tables can be joined.
+        ``attrs`` holds both, also of a table without rows, and "step_count" of the whole path.
 
     Raises
     ------
@@ -163,11 +164,13 @@ def switches(
                 "coverage_bias": errors.coverage_bias,
                 "motion_px": walker.motion_px(near.place, far.place),
                 "what": _difference(near.signature, far.signature),
+                "complete": complete,
+                "changed_steps": changed,
             }
         )
     table = pd.DataFrame(rows, columns=list(_COLUMNS))
-    texts = {"label": "object", "what": "object"}
-    table = table.astype({name: texts.get(name, "float64") for name in _COLUMNS})
+    others = {"label": "object", "what": "object", "complete": "bool", "changed_steps": "int64"}
+    table = table.astype({name: others.get(name, "float64") for name in _COLUMNS})
     table.attrs = {"complete": complete, "changed_steps": changed, "step_count": len(places) - 1}
     return table
 

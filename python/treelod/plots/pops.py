@@ -48,7 +48,8 @@ def popping(
     -------
     matplotlib.figure.Figure
         A stem a switch, as high as the FLIP error between its two sides. The three worst of each
-        technique say what changes.
+        technique say what changes. Where not all switches were measured the legend says how many
+        were, and of how many at least.
 
     Raises
     ------
@@ -103,6 +104,21 @@ def popping(
             axes.xaxis.set_major_locator(FixedLocator([0, 90, 180, 270, 360]))
         axes.set_xlabel(_AXES[against])
         axes.set_ylabel("FLIP between the two sides")
-        legend(figure, [(label, look.line("none")) for label, look in known.items()])
+        entries = [
+            (label + _share(table[table["label"] == label]), look.line("none"))
+            for label, look in known.items()
+        ]
+        legend(figure, entries)
         place_labels(figure, sorted(labels, key=lambda wanted: -wanted[2]))
     return figure
+
+
+def _share(rows: pd.DataFrame) -> str:
+    """Say how many switches were measured, if that is not all; tables by hand may not tell."""
+    if "complete" not in rows.columns or all(rows["complete"].dropna()):
+        return ""
+    # each step that changes has one, and one was not measured
+    least = len(rows) + 1
+    if "changed_steps" in rows.columns:
+        least = max(least, int(rows["changed_steps"].max()))
+    return f" ({len(rows)} of at least {least} measured)"
