@@ -1,13 +1,16 @@
 """Does ``treelod sweep`` do what its file says, write what it promises, and fail in one line?"""
 
+import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
 import treelod as tl
+from made_results import comparison
 from treelod.cli import app
-from treelod.sweeps import worker
+from treelod.sweeps import command, worker
+from treelod.sweeps.results import SweepResults
 
 CONFIG = """
 [plants]
@@ -83,6 +86,30 @@ def test_untimed_rows_have_no_plot_of_speed(run, tmp_path):
     assert plots == ["error_by_azimuth.png", "error_by_distance.png"]
     assert "nan" not in done.stdout
     assert pd.read_parquet(tmp_path / "out" / "results.parquet")["frame_millis"].isna().all()
+
+
+def test_plots_of_an_earlier_run_are_replaced_and_others_left_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(command.plots, "encode", lambda *_: b"")
+    # of two plants, then of one: as the command writes them
+    table = comparison(distances=(2.5,)).table().assign(timing="exclusive", threads=2)
+    two = pd.concat([table, table.assign(plant="a/b")], ignore_index=True)
+    command._write(SweepResults(two), tmp_path)
+    names = {path.name for path in (tmp_path / "plots").iterdir()}
+    assert "01_a_b_speed_against_error.png" in names
+    assert len(names) == 6
+    own = tmp_path / "plots" / "my_error_by_distance.png"
+    own.write_bytes(b"mine")
+    half = np.arange(len(table)) % 2 == 0
+    command._write(SweepResults(table.assign(threads=np.where(half, 2, 8))), tmp_path)
+    names = sorted(path.name for path in (tmp_path / "plots").iterdir())
+    assert names == [
+        "error_by_azimuth.png",
+        "error_by_distance.png",
+        "my_error_by_distance.png",
+        "speed_against_error_2_threads.png",
+        "speed_against_error_8_threads.png",
+    ]
+    assert own.read_bytes() == b"mine"
 
 
 def test_options_go_before_the_file(run, tmp_path):

@@ -31,6 +31,11 @@ if TYPE_CHECKING:
 
 __all__ = ["run_config"]
 
+_OWN_PICTURE = re.compile(
+    r"(\d{2,}_[\w.-]*_)?(speed_against_error(_\d+_threads)?|error_by_(azimuth|distance))\.png"
+)
+"""What the pictures of this command are called, with more than one plant or with one."""
+
 
 def run_config(
     config: str | os.PathLike[str],
@@ -125,6 +130,10 @@ def _write(table: SweepResults, folder: Path) -> None:
     atomic_write(folder / "results.parquet", parquet.getvalue())
     atomic_write(folder / "results.csv", stored.to_csv(index=False).encode())
     (folder / "plots").mkdir(exist_ok=True)
+    # of an earlier run, perhaps of other plants
+    for path in (folder / "plots").iterdir():
+        if path.is_file() and _OWN_PICTURE.fullmatch(path.name):
+            path.unlink()
     plants = table["plant"].unique()
     for number, plant in enumerate(plants):
         for name, figure in _figures(table[table["plant"] == plant]).items():
@@ -138,8 +147,11 @@ def _write(table: SweepResults, folder: Path) -> None:
 def _figures(rows: pd.DataFrame) -> dict[str, Figure]:
     """Draw the plots of one plant."""
     figures: dict[str, Any] = {}
-    if rows["frame_millis"].notna().any():
-        figures["speed_against_error"] = plots.speed_against_error(rows)
+    # times of workers with more threads and with fewer are no one's
+    timed = rows[rows["frame_millis"].notna()].groupby("threads")
+    for threads, those in timed:
+        end = f"_{threads}_threads" if len(timed) > 1 else ""
+        figures[f"speed_against_error{end}"] = plots.speed_against_error(those)
     figures["error_by_azimuth"] = plots.error_by_azimuth(rows)
     figures["error_by_distance"] = plots.error_by_distance(rows)
     return figures
