@@ -262,6 +262,13 @@ def test_the_heat_map_of_several_labels_has_a_row_each_on_one_scale():
     assert len(plots.error_heat_map(table).axes) == 3 * 2 + 1
 
 
+def test_the_heat_map_of_two_labels_names_its_angle_once():
+    # beside maps of two elevations a name each would run into one another
+    figure = plots.error_heat_map(sweep(columns=True), LABELS[:2])
+    assert figure.get_supylabel() == "elevation (degrees)"
+    assert not any(axes.get_ylabel() == "elevation (degrees)" for axes in figure.axes)
+
+
 def test_the_heat_map_shows_what_is_missing_and_which_way_is_wrong():
     table = comparison(("full_mesh", "slicings")).table()
     figure = plots.error_heat_map(table.drop(index=table.index[-1]), "slicings")

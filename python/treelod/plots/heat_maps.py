@@ -124,7 +124,7 @@ def error_heat_map(
             axes.set_xlabel("azimuth (degrees)")
         for axes in grid[:, 0]:
             axes.set_ylabel("elevation (degrees)")
-        if len(labels) > 2:
+        if len(labels) > 1:
             # once for all: beside low maps it would be longer than they are
             for axes in grid[:, 0]:
                 axes.set_ylabel("")
