@@ -80,6 +80,56 @@ def test_threads_give_the_same_bits(tmp_path, serial):
     assert not worker._held, "the driver's plants are let go"
 
 
+def test_sweeps_of_one_plant_in_one_process_let_each_other_live(tmp_path, serial):
+    inner = []
+
+    def progress(stage, done, total):
+        del total
+        if stage == "cells" and done == 4 and not inner:
+            # it begins, ends and lets go of the plant while the outer one goes on
+            inner.append(run(tmp_path / "inner", grid={}, views=views, timing="none"))
+
+    views = cameras(PLANT)
+    table = run(tmp_path / "rows", timing="none", progress=progress)
+    assert len(inner[0]) == 3
+    assert errors_of(table) == {k: v for k, v in serial.items() if k[0] == "crown"}
+    ((_, work),) = table.attrs["work"]["workers"].items()
+    assert work["builds"] == 7, "the other sweep dropped nothing that is still needed"
+    assert not worker._held
+    assert not worker._holders
+
+
+def test_a_plant_is_kept_until_the_last_who_brought_it_lets_it_go():
+    other = Kept(40)
+    for digest, holder in (("a" * 64, "one"), ("a" * 64, "two"), ("b" * 64, "two")):
+        worker.hold_plant(digest, PLANT, holder)
+    for key in ("a" * 64, "b" * 64):
+        worker._plants.get(key, other.make)
+        worker._built.get((key, "full_mesh"), other.make)
+    try:
+        worker.forget("a" * 64, "one")
+        assert set(worker._held) == {"a" * 64, "b" * 64}
+        worker.forget("a" * 64, "two")
+        assert set(worker._held) == {"b" * 64}
+        assert [*worker._plants._kept] == ["b" * 64]
+        assert [*worker._built._kept] == [("b" * 64, "full_mesh")], "of another plant: kept"
+        worker._plants.get("b" * 64, other.make)
+        assert other.count == 4
+        assert not worker._plants._making, "locks do not pile up"
+    finally:
+        worker.forget("b" * 64, "two")
+    assert not worker._held
+
+
+class Kept:
+    def __init__(self, size):
+        self.size, self.count = size, 0
+
+    def make(self):
+        self.count += 1
+        return self.count, self.size
+
+
 def test_threads_that_are_asked_for_are_used(tmp_path):
     table = run(tmp_path / "rows", grid={}, threads=1)
     assert set(table["threads"]) == {1}
@@ -363,6 +413,35 @@ def test_a_cluster_gives_the_same_bits_and_is_sent_each_plant_once(cluster, tmp_
         assert len(again) == 3
         held = client.run(lambda: len(sys.modules["treelod.sweeps.worker"]._held))
         assert set(held.values()) == {0}
+
+
+def test_two_sweeps_of_one_plant_share_a_cluster(cluster, tmp_path, serial):
+    with cluster.client() as client, ThreadPoolExecutor(2) as pool:
+        tables = [
+            # as `pure` as dask makes it where nobody says otherwise
+            pool.submit(run, tmp_path / str(i), timing="none", executor=client.get_executor())
+            for i in range(2)
+        ]
+        for future in tables:
+            crown = {k: v for k, v in serial.items() if k[0] == "crown"}
+            assert errors_of(future.result(100)) == crown
+        held = client.run(lambda: len(sys.modules["treelod.sweeps.worker"]._held))
+        assert set(held.values()) == {0}
+
+
+def test_a_job_of_a_cluster_is_not_replayed_from_memory(cluster, tmp_path, monkeypatch):
+    with cluster.client() as client:
+        crew = executors.crew_of(client.get_executor(), Store.open(tmp_path / "rows", make=True))
+        monkeypatch.setattr(worker, "run", made_sweeps.count_calls)
+        futures = [crew.submit(7) for _ in range(4)]
+        counts = [future.result(60) for future in futures]
+    assert sorted(counts) != [1] * 4, "the same answer is kept"
+    # closed twice: nothing that is no more there hides another error
+    crew._brought.append("0" * 64)
+    with cluster.client() as client:
+        executors.crew_of(client, Store.open(tmp_path / "rows", make=True)).close(at_once=True)
+        crew.executor = client.get_executor()
+        crew.close(at_once=True)
 
 
 def test_a_cluster_listens_on_loopback_only(cluster):

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import operator
 import os
 import signal
 import threading
+import uuid
 from collections.abc import Callable
 from concurrent.futures import (
     BrokenExecutor,
@@ -66,6 +68,8 @@ class Crew:
         self._make = make
         self._store = store
         self._brought: list[str] = []
+        # two sweeps may share workers, and plants
+        self._name = uuid.uuid4().hex
         self.executor = executor if executor is not None else _made(make)
 
     @property
@@ -133,8 +137,8 @@ class _Here(Crew):
 
     def bring(self, plants: Iterable[Plant]) -> None:
         for plant in plants:
-            worker.hold_plant(plant.digest, plant)
             self._brought.append(plant.digest)
+            worker.hold_plant(plant.digest, plant, self._name)
 
     def plant_path(self, digest: str) -> str | None:
         del digest
@@ -143,7 +147,7 @@ class _Here(Crew):
     def close(self, *, at_once: bool) -> None:
         super().close(at_once=at_once)
         for digest in self._brought:
-            worker.forget(digest)
+            worker.forget(digest, self._name)
 
 
 class _Dask(Crew):
@@ -167,12 +171,19 @@ class _Dask(Crew):
         from treelod.sweeps.dask_plugin import HoldPlant
 
         for plant in plants:
-            self._client.register_plugin(HoldPlant(plant.digest, plant.to_bytes()))
             self._brought.append(plant.digest)
+            plugin = HoldPlant(plant.digest, plant.to_bytes(), self._name)
+            self._client.register_plugin(plugin)
 
     def plant_path(self, digest: str) -> str | None:
         del digest
         return None
+
+    def submit(self, job: Job) -> Future[Outcome]:
+        # a pure job that failed would be replayed from memory, and not run again
+        executor: Any = self.executor
+        future: Future[Outcome] = executor.submit(worker.run, job, pure=False)
+        return future
 
     def is_lost(self, error: BaseException) -> bool:
         return type(error).__name__ == _LOST or super().is_lost(error)
@@ -181,9 +192,9 @@ class _Dask(Crew):
         from treelod.sweeps.dask_plugin import plugin_name
 
         for digest in self._brought:
-            # a cluster that is gone holds nothing
-            with contextlib.suppress(OSError, TimeoutError):
-                self._client.unregister_worker_plugin(plugin_name(digest))
+            # a cluster that is gone, or knows of no such plugin, holds nothing
+            with contextlib.suppress(OSError, TimeoutError, ValueError):
+                self._client.unregister_worker_plugin(plugin_name(digest, self._name))
         super().close(at_once=at_once)
 
 
@@ -227,11 +238,11 @@ def crew_of(executor: ExecutorLike, store: Store) -> Crew:
         return _Here(_Inline(), None, store)
     make: Callable[[], Executor] | None = None
     made: Executor | None = None
-    if isinstance(executor, int) and not isinstance(executor, bool):
-        if executor < 1:
-            msg = f"executor must be at least 1 worker, got {executor}"
+    if hasattr(executor, "__index__") and not isinstance(executor, bool):
+        count = operator.index(executor)
+        if count < 1:
+            msg = f"executor must be at least 1 worker, got {count}"
             raise ValueError(msg)
-        count = executor
         make = lambda: _processes(count)  # noqa: E731
     elif isinstance(executor, Executor):
         made = executor

@@ -168,23 +168,29 @@ class _Cache:
         with self._lock:
             mine = self._making.setdefault(key, threading.Lock())
         with mine:
-            with self._lock:
-                if key in self._kept:
-                    self._kept.move_to_end(key)
-                    return self._kept[key][0]
-            value, size = make()
-            with self._lock:
-                self._kept[key] = value, size
-                total = sum(size for _, size in self._kept.values())
-                while total > self._limit and len(self._kept) > 1:
-                    _, (_, freed) = self._kept.popitem(last=False)
-                    total -= freed
-                self._making.pop(key, None)
-            return value
+            try:
+                with self._lock:
+                    if key in self._kept:
+                        self._kept.move_to_end(key)
+                        return self._kept[key][0]
+                value, size = make()
+                with self._lock:
+                    self._kept[key] = value, size
+                    total = sum(size for _, size in self._kept.values())
+                    while total > self._limit and len(self._kept) > 1:
+                        _, (_, freed) = self._kept.popitem(last=False)
+                        total -= freed
+                return value
+            finally:
+                with self._lock:
+                    # whoever waits has the lock itself
+                    self._making.pop(key, None)
 
-    def clear(self) -> None:
+    def drop(self, digest: str) -> None:
+        """Drop what was made of a plant."""
         with self._lock:
-            self._kept.clear()
+            for key in [key for key in self._kept if digest in (key, key[0])]:
+                del self._kept[key]
 
 
 _plants = _Cache(MAX_PLANT_BYTES)
@@ -194,10 +200,15 @@ _frames = _Cache(MAX_FRAME_BYTES)
 _held: dict[str, bytes | Plant] = {}
 """Plants that were brought here: by the driver in its own process, or by dask."""
 
+_holders: dict[str, set[str]] = {}
+"""Who brought each of them: several sweeps may want the same plant at once."""
 
-def hold_plant(digest: str, plant: bytes | Plant) -> None:
+_holding = threading.Lock()
+
+
+def hold_plant(digest: str, plant: bytes | Plant, holder: str) -> None:
     """
-    Bring a plant to this process.
+    Bring a plant to this process, and keep it until all who brought it let it go.
 
     Parameters
     ----------
@@ -205,8 +216,12 @@ def hold_plant(digest: str, plant: bytes | Plant) -> None:
         What names it.
     plant : bytes or Plant
         The plant, or what `Plant.to_bytes` returns.
+    holder : str
+        Who brings it.
     """
-    _held[digest] = plant
+    with _holding:
+        _held.setdefault(digest, plant)
+        _holders.setdefault(digest, set()).add(holder)
 
 
 _stopped: set[str] = set()
@@ -224,18 +239,26 @@ def stop(sweep: str) -> None:
     _stopped.add(sweep)
 
 
-def forget(digest: str) -> None:
+def forget(digest: str, holder: str) -> None:
     """
-    Drop a plant that was brought here, and everything that was made in this process.
+    Let a plant go that was brought here, and what was made of it, unless others hold it too.
 
     Parameters
     ----------
     digest : str
         What names the plant.
+    holder : str
+        Who brought it.
     """
-    _held.pop(digest, None)
-    for cache in (_plants, _built, _frames):
-        cache.clear()
+    with _holding:
+        holders = _holders.get(digest, set())
+        holders.discard(holder)
+        if holders:
+            return
+        _holders.pop(digest, None)
+        _held.pop(digest, None)
+        for cache in (_plants, _built, _frames):
+            cache.drop(digest)
 
 
 def run(job: Job) -> Outcome:
