@@ -1,6 +1,10 @@
 """Which representations does a grid give, and what does it refuse before anything is drawn?"""
 
+import collections.abc
 import json
+import sys
+import types
+import typing
 
 import numpy as np
 import pandas as pd
@@ -127,6 +131,11 @@ def test_numbers_have_one_form():
     assert len(params_of(grid, "slicings", "resolution")) == 2
 
 
+def test_an_array_without_axes_is_its_number():
+    grid = {"slicings": {"slice_count": np.array(3), "correction": np.array(0.25)}}
+    assert params_of(grid, "slicings", "slice_count", "correction") == [(3, 0.25)]
+
+
 def test_criteria_are_named_and_functions_are_not():
     grid = {"foliage_hierarchy": {"criterion": [screen_size(2), screen_size(4)]}}
     found = [v.canonical_params()["criterion"] for v in expand(grid)[1:]]
@@ -144,6 +153,33 @@ def test_defaults_are_those_of_build():
         # every default is of a type that the annotation names
         assert checked(name, defaults(name)) == defaults(name)
         assert json.loads(written([canonical("x", v) for v in defaults(name).values()]))
+
+
+def test_every_default_and_every_word_of_every_technique_can_be_swept():
+    words = 0
+    for technique, made in REGISTRY.items():
+        names = {**vars(sys.modules[made.build.__module__]), **NAMES}
+        for name, default in defaults(technique).items():
+            hint = eval(known(technique)[name].annotation, names)
+            assert checked(technique, {name: default}) == {name: default}
+            for word in words_of(hint):
+                assert checked(technique, {name: word}) == {name: word}, f"{technique}: {name}"
+                words += 1
+    assert words > 40, "formats, methods and orders"
+    assert len(expand({"slicings": {"format": ["rgba8", "bc7"]}})) == 3
+
+
+NAMES = {name: getattr(collections.abc, name) for name in ("Callable", "Sequence", "Mapping")}
+"""Types that modules import for the type checker alone; the others name no words."""
+NAMES |= dict.fromkeys(("ArrayLike", "Camera", "CriterionLike", "NDArray", "Plant"), typing.Any)
+
+
+def words_of(hint):
+    if typing.get_origin(hint) is typing.Literal:
+        return [*typing.get_args(hint)]
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        return [word for part in typing.get_args(hint) for word in words_of(part)]
+    return []
 
 
 # Labels
@@ -199,9 +235,11 @@ def test_labels_are_short_where_they_stay_different():
         ({"slicings": {"slice_count": True}}, TypeError, "slice_count must be int, got True"),
         ({"slicings": {"slice_count": None}}, TypeError, "slice_count must be int, got None"),
         ({"slicings": {"resolution": (1, 2, 3)}}, TypeError, r"resolution must be int \| tuple"),
-        ({"slicings": {"format": "png"}}, ValueError, "format must be 'rgba8' or 'rgb5a1', got"),
+        ({"slicings": {"format": "png"}}, ValueError, "format must be 'rgba8' or 'rgb5a1' or"),
         ({"slicings": {"correction": "fat"}}, ValueError, "correction must be 'fit' or 'optical'"),
         ({"slicings": {"correction": np.nan}}, ValueError, "correction must be finite, got nan"),
+        ({"slicings": {"correction": 10**400}}, ValueError, "correction must be finite, got a num"),
+        ({"leaf_clusters": {"cluster_count": 3.5}}, TypeError, "cluster_count must be int .*3.5"),
         ({"slicings": {"wood": 1}}, TypeError, "slicings: wood must be bool, got 1"),
         (
             {"slicings": tl.zipped(slice_count=[1], resolution=["x"])},

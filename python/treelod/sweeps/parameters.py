@@ -12,8 +12,9 @@ import functools
 import inspect
 import json
 import math
+import sys
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 
@@ -171,12 +172,16 @@ def written(value: Any) -> str:
 
 
 def _plain(where: str, value: Any, *, is_float: bool) -> Any:
-    if isinstance(value, np.generic):
+    if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
         value = value.item()
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return value
     if isinstance(value, int) and is_float:
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            msg = f"{where} must be finite, got a number of {value.bit_length()} bits"
+            raise ValueError(msg) from None
     if isinstance(value, float):
         if not math.isfinite(value):
             msg = f"{where} must be finite, got {value}"
@@ -220,12 +225,10 @@ def _fits(value: Any, kind: ast.expr) -> bool:
         case ast.Name(id="ArrayLike"):
             return isinstance(value, tuple)
         case ast.Subscript(value=ast.Name(id="tuple" | "Sequence"), slice=inner):
-            each = inner.elts if isinstance(inner, ast.Tuple) else [inner] * len(value or ())
-            return (
-                isinstance(value, tuple)
-                and len(value) == len(each)
-                and all(_fits(part, wanted) for part, wanted in zip(value, each, strict=True))
-            )
+            if not isinstance(value, tuple):
+                return False
+            each = inner.elts if isinstance(inner, ast.Tuple) else [inner] * len(value)
+            return len(value) == len(each) and all(map(_fits, value, each))
         case ast.Subscript(value=ast.Name(id="Mapping")):
             return isinstance(value, Mapping)
     return False
@@ -235,12 +238,17 @@ def _fits(value: Any, kind: ast.expr) -> bool:
 def _kinds(technique: str, name: str) -> tuple[ast.expr, ...]:
     """Return the alternatives that a parameter's annotation names."""
     annotation = known(technique)[name].annotation
-    return tuple(_alternatives(ast.parse(str(annotation), mode="eval").body))
+    names = vars(sys.modules[REGISTRY[technique].build.__module__])
+    return tuple(_alternatives(ast.parse(str(annotation), mode="eval").body, names))
 
 
-def _alternatives(node: ast.expr) -> list[ast.expr]:
+def _alternatives(node: ast.expr, names: Mapping[str, Any]) -> list[ast.expr]:
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitOr):
-        return [*_alternatives(node.left), *_alternatives(node.right)]
+        return [*_alternatives(node.left, names), *_alternatives(node.right, names)]
+    # words that several techniques share have a name
+    if isinstance(node, ast.Name) and get_origin(names.get(node.id)) is Literal:
+        words = ", ".join(map(repr, get_args(names[node.id])))
+        return [ast.parse(f"Literal[{words}]", mode="eval").body]
     return [node]
 
 
