@@ -6,6 +6,7 @@ import shutil
 import time
 import warnings
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -22,13 +23,17 @@ def identity(number=0):
         "plant": "p" * 64,
         "technique": "slicings",
         "number": number,
+        "params": {},
+        "camera": {},
         "timing": {"mode": "none"},
     }
 
 
 def shard(number=0, **row):
     facts = identity(number)
-    return Shard({"key": key_of(facts), "flip": 0.5, **row}, facts, ["slice_count"])
+    columns = {"plant": "crown", "params": "{}", "view": 0, "date": "now", "flip": 0.5}
+    empty = dict.fromkeys(("frame_millis", "overdraw", "adapter"))
+    return Shard({"key": key_of(facts), **columns, **empty, **row}, facts, ["slice_count"])
 
 
 @pytest.fixture
@@ -50,7 +55,8 @@ def test_a_row_comes_back_as_it_was(store):
     }
     store.write(shard(**row))
     back = store.read(key_of(identity()))
-    assert back.row == {"key": key_of(identity()), "flip": 0.5, **row}
+    assert back.row == shard(**row).row
+    assert back.row["infinite"] == float("inf")
     assert back.identity == identity()
     assert back.given == ["slice_count"]
     assert back.is_timed, "no times were asked for"
@@ -109,6 +115,20 @@ def spoil(store, how):
         rewrite(path, version=99)
     elif how == "of another magic":
         rewrite(path, magic="sapling sweep")
+    elif how == "with other parameters given":
+        rewrite(path, given=["resolution"])
+    elif how == "with an identity of no number":
+        rewrite(path, identity={"number": float("nan")})
+    elif how == "with a renamed column":
+        table = pq.read_table(path)
+        names = ["flap" if name == "flip" else name for name in table.column_names]
+        rewrite(path, table.rename_columns(names))
+    elif how == "without a plant":
+        facts = {name: value for name, value in identity(1).items() if name != "plant"}
+        other = Shard({**shard(1).row, "key": key_of(facts)}, facts, [])
+        store.write(other)
+        path.unlink()
+        return store.path(key_of(facts))
     elif how == "without an identity":
         rewrite(path, identity=None)
     elif how == "a folder":
@@ -117,9 +137,9 @@ def spoil(store, how):
     return path
 
 
-def rewrite(path, **changes):
+def rewrite(path, table=None, **changes):
     """Change what a file says of itself."""
-    table = pq.read_table(path)
+    table = pq.read_table(path) if table is None else table
     header = json.loads(pq.read_metadata(path).metadata[b"treelod"]) | changes
     with pq.ParquetWriter(path, table.schema) as writer:
         writer.add_key_value_metadata({b"treelod": json.dumps(header).encode()})
@@ -135,8 +155,12 @@ SPOILED = {
     "a folder": "is skipped: it is damaged",
     "of another program": "is skipped: it was not written by a sweep",
     "of another cell": "is skipped: it belongs to another cell than its name says",
-    "of another version": "is skipped: it has version 99, not 1",
+    "of another version": "is skipped: it has version 99, not 2",
     "of another magic": "is skipped: it was not written by a sweep",
+    "with other parameters given": "its row is not the one that was written",
+    "with a renamed column": "its row is not the one that was written",
+    "with an identity of no number": "is skipped: it is damaged .ValueError",
+    "without a plant": "its row lacks columns",
     "without an identity": "is skipped: it belongs to another cell",
 }
 
@@ -157,6 +181,32 @@ def test_an_unspoiled_row_is_not_skipped(store):
     path = spoil(store, "not at all")
     rewrite(path)
     assert store.read(path.stem).identity == identity(1)
+
+
+def test_a_file_with_flipped_bits_is_the_row_or_no_row(store):
+    row = shard(3, seed=7, cpu="one of many").row
+    store.write(shard(3, **row))
+    path = store.path(row["key"])
+    data = path.read_bytes()
+    random = np.random.default_rng(5)
+    skipped = 0
+    for _ in range(400):
+        flipped = np.frombuffer(data, np.uint8).copy()
+        for at in random.integers(0, len(data), random.integers(1, 4)):
+            flipped[at] ^= 1 << random.integers(8)
+        path.write_bytes(flipped.tobytes())
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            back = store.read(path.stem)
+        skipped += back is None
+        assert len(caught) == (back is None), "skipped and said so, or read"
+        # padding and statistics decide nothing
+        assert back is None or (back.row, back.identity, back.given) == (
+            row,
+            identity(3),
+            ["slice_count"],
+        )
+    assert skipped > 200
 
 
 def test_other_files_are_named_and_leftovers_are_not(store):
@@ -195,6 +245,10 @@ def test_folders_of_others_are_refused(tmp_path):
         Store.open(tmp_path / "mine.txt", make=True)
     with pytest.raises(FileNotFoundError, match="there is no folder"):
         tl.load_results(tmp_path / "nowhere")
+    # so does one in which another writer was killed as it began
+    (tmp_path / "begun").mkdir()
+    (tmp_path / "begun" / ".store.json.a1b2.tmp").write_bytes(b"{")
+    Store.open(tmp_path / "begun", make=True)
     # an empty folder becomes a store, and so does one that is not there, with its parents
     (tmp_path / "empty").mkdir()
     for folder in (tmp_path / "empty", tmp_path / "a" / "b"):
@@ -205,7 +259,7 @@ def test_folders_of_others_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"magic": "treelod sweep", "version": 2}', "has version 2; this treelod reads 1"),
+        ('{"magic": "treelod sweep", "version": 1}', "has version 1; this treelod reads 2"),
         ('{"magic": "other", "version": 1}', r"store\.json is not a sweep's"),
         ("{}", r"store\.json is not a sweep's"),
         ("[]", r"store\.json is not a sweep's"),

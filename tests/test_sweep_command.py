@@ -147,6 +147,19 @@ def test_keep_going_writes_the_rest_and_lists_what_failed(run, tmp_path):
         ((), "[plants", "grid.toml: it is no TOML"),
         ((), CONFIG.replace("shrink", "shrnk"), "stochastic_pruning: shrnk is no parameter"),
         ((), CONFIG.replace("reference_samples = 16", "reference_samples = 2"), "samples must be"),
+        (("--threads", 0), CONFIG, "threads"),
+        ((), f"{CONFIG}samples = '1'", "grid.toml: samples must be a whole number, got '1'"),
+        ((), f"{CONFIG}threads = 1.5", "grid.toml: threads must be a whole number, got 1.5"),
+        ((), f"{CONFIG}yee = 'no'", "grid.toml: yee must be True or False, got 'no'"),
+        ((), f"{CONFIG}retries = -1", "grid.toml: retries must be at least 0, got -1"),
+        ((), CONFIG.replace("azimuths = 2", "azimuths = 0"), "azimuths must be at least 1, got 0"),
+        ((), CONFIG.replace("[48, 40]", "['a', 2]"), "size must be a whole number, got 'a'"),
+        ((), CONFIG.replace("[2.5, 10]", "-1"), "distances must be finite and above 0"),
+        (
+            (),
+            CONFIG.replace('{ preset = "grass", leaf_count = 20 }', "{ file = 5 }", 1),
+            "plants.lawn: file must be text, got 5",
+        ),
         (("--timing", "alone"), CONFIG, "timing must be 'shared', 'exclusive' or 'none'"),
         (("--scheduler", "tcp://127.0.0.1:1", "--workers", 1), CONFIG, "do not mix"),
     ],
@@ -156,7 +169,7 @@ def test_refuses(run, tmp_path, arguments, text, message):
     assert done.exit_code in (1, 2)
     assert message in done.stderr
     assert "Traceback" not in done.stderr
-    assert not [*(tmp_path / "out").glob("cells/*")]
+    assert not (tmp_path / "out").exists(), "refused before a folder is made"
 
 
 def test_a_folder_of_something_else_is_left_alone(run, tmp_path):

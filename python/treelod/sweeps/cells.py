@@ -9,19 +9,24 @@ and positions in lists of cameras decide nothing and are not in it.
 from __future__ import annotations
 
 import hashlib
+import operator
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from treelod.sweeps.parameters import written
+import numpy as np
+
+from treelod import metrics
+from treelod.render import sample_count, thread_count
+from treelod.sweeps.parameters import canonical, written
 
 if TYPE_CHECKING:
     from treelod.cameras import Camera
     from treelod.results import View
     from treelod.sweeps.grid import Variant
 
-__all__ = ["STORE_VERSION", "Cell", "Settings", "Timing", "key_of"]
+__all__ = ["STORE_VERSION", "Cell", "Settings", "Timing", "key_of", "whole"]
 
-STORE_VERSION = 1
+STORE_VERSION = 2
 """Rises when rows of an older store would mean something else."""
 
 Timing = Literal["shared", "exclusive", "none"]
@@ -56,6 +61,69 @@ class Settings:
     threads: int | None
     ppd: float
     yee: bool
+
+    @classmethod
+    def checked(
+        cls,
+        *,
+        samples: int = 4,
+        reference_samples: int = 64,
+        repeats: int = 9,
+        warmup: int = 2,
+        timing: Timing = "shared",
+        threads: int | None = None,
+        ppd: float = metrics.DEFAULT_PPD,
+        yee: bool = False,
+    ) -> Settings:
+        """
+        Refuse settings of another type or out of range.
+
+        Parameters
+        ----------
+        samples, reference_samples, repeats, warmup, timing, threads, ppd, yee
+            As `sweep` takes them.
+
+        Returns
+        -------
+        Settings
+
+        Raises
+        ------
+        ValueError
+            If a number is out of range, or timing is no word of the three.
+        TypeError
+            If a value is of another type; the message names it.
+        """
+        if timing not in ("shared", "exclusive", "none"):
+            msg = f"timing must be 'shared', 'exclusive' or 'none', got {timing!r}"
+            raise ValueError(msg)
+        if whole("repeats", repeats) < 1 or whole("warmup", warmup) < 0:
+            msg = f"repeats must be at least 1 and warmup at least 0, got {repeats} and {warmup}"
+            raise ValueError(msg)
+        if isinstance(ppd, bool | str) or not hasattr(ppd, "__float__"):
+            msg = f"ppd must be a number, got {ppd!r}"
+            raise TypeError(msg)
+        metrics.check_ppd(ppd)
+        if not isinstance(yee, bool | np.bool_):
+            msg = f"yee must be True or False, got {yee!r}"
+            raise TypeError(msg)
+        is_timed = timing != "none"
+        count = sample_count(whole("samples", samples))
+        try:
+            reference_count = sample_count(whole("reference_samples", reference_samples))
+        except ValueError as error:
+            msg = f"reference_{error}"
+            raise ValueError(msg) from None
+        return cls(
+            samples=count,
+            reference_samples=reference_count,
+            repeats=operator.index(repeats) if is_timed else 0,
+            warmup=operator.index(warmup) if is_timed else 0,
+            timing=timing,
+            threads=None if threads is None else thread_count(whole("threads", threads)),
+            ppd=float(ppd),
+            yee=bool(yee),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,6 +216,32 @@ class Cell:
         )
 
 
+def whole(name: str, value: Any) -> int:
+    """
+    Return a whole number.
+
+    Parameters
+    ----------
+    name : str
+        The argument, for the message.
+    value : object
+        What was given for it.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    TypeError
+        If it is none.
+    """
+    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        msg = f"{name} must be a whole number, got {value!r}"
+        raise TypeError(msg)
+    return operator.index(value)
+
+
 def key_of(identity: dict[str, Any]) -> str:
     """
     Name an identity.
@@ -166,7 +260,4 @@ def key_of(identity: dict[str, Any]) -> str:
 
 
 def _camera_facts(camera: Camera) -> dict[str, Any]:
-    return {
-        name: list(value) if isinstance(value, tuple) else value
-        for name, value in asdict(camera).items()
-    }
+    return {name: canonical(f"camera: {name}", value) for name, value in asdict(camera).items()}

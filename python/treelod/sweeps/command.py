@@ -14,7 +14,7 @@ from treelod import plots
 from treelod.columns import without_infinity
 from treelod.errors import SweepWarning
 from treelod.files import atomic_write
-from treelod.sweeps.config import read_config
+from treelod.sweeps.config import check_settings, read_config
 from treelod.sweeps.driver import sweep
 from treelod.sweeps.store import Store
 
@@ -76,22 +76,23 @@ def run_config(
         Written to ``results.parquet``, ``results.csv`` and ``plots``.
     """
     wanted = read_config(config)
-    # before plants are loaded for minutes
-    store = Store.open(folder, make=True)
-    plants, sources = {}, {}
-    for done, name in enumerate(wanted.plants):
-        progress("plants", done, len(wanted.plants))
-        plants[name], sources[name] = wanted.make_plant(name)
-    progress("plants", len(plants), len(plants))
     settings = dict(wanted.settings)
     if timing is not None:
         settings["timing"] = cast("Timing", timing)
     if threads is not None:
         settings["threads"] = threads
+    # all that can be refused is, before plants are loaded for minutes
+    check_settings(settings)
     with _executor(workers, scheduler) as executor, warnings.catch_warnings():
         if goes_on:
             # the command lists them itself
             warnings.filterwarnings("ignore", "^[0-9]+ of [0-9]+ cells failed", SweepWarning)
+        store = Store.open(folder, make=True)
+        plants, sources = {}, {}
+        for done, name in enumerate(wanted.plants):
+            progress("plants", done, len(wanted.plants))
+            plants[name], sources[name] = wanted.make_plant(name)
+        progress("plants", len(plants), len(plants))
         table = sweep(
             plants,
             wanted.grid,
@@ -110,6 +111,9 @@ def run_config(
 @contextmanager
 def _executor(workers: int | None, scheduler: str | None) -> Iterator[int | Executor | None]:
     if scheduler is None:
+        if workers is not None and workers < 1:
+            msg = f"workers must be at least 1, got {workers}"
+            raise ValueError(msg)
         yield workers
         return
     try:

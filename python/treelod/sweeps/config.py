@@ -32,6 +32,8 @@ from treelod.cameras import (
 from treelod.loading import load_plant
 from treelod.plants import PRESETS, grow_plant
 from treelod.provenance import file_sha256
+from treelod.render import check_size
+from treelod.sweeps.cells import Settings, whole
 from treelod.sweeps.grid import ParameterSets, crossed, expand, zipped
 from treelod.sweeps.parameters import is_whole, known
 from treelod.techniques import REGISTRY
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
     from treelod.cameras import Camera
     from treelod.plants import Plant
 
-__all__ = ["Config", "read_config"]
+__all__ = ["Config", "check_settings", "read_config"]
 
 _RANGE = {"from", "to", "count", "step", "scale"}
 
@@ -167,6 +169,7 @@ def read_config(path: str | os.PathLike[str]) -> Config:
         expand(grid)
         settings = _table("[settings]", facts.get("settings", {}))
         _only("[settings]", settings, _SETTINGS)
+        check_settings(settings)
         return Config(
             plants=_plants(_table("[plants]", facts.get("plants", {}))),
             grid=grid,
@@ -177,6 +180,28 @@ def read_config(path: str | os.PathLike[str]) -> Config:
     except (ValueError, TypeError) as error:
         msg = f"{file}: {error}"
         raise type(error)(msg) from None
+
+
+def check_settings(settings: Mapping[str, Any]) -> None:
+    """
+    Refuse settings that `sweep` would refuse, before plants are loaded.
+
+    Parameters
+    ----------
+    settings : mapping of str to object
+        Arguments of `sweep`.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of range.
+    TypeError
+        If a value is of another type.
+    """
+    if whole("retries", settings.get("retries", 0)) < 0:
+        msg = f"retries must be at least 0, got {settings['retries']}"
+        raise ValueError(msg)
+    Settings.checked(**{name: value for name, value in settings.items() if name != "retries"})
 
 
 def _plants(facts: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -193,9 +218,17 @@ def _plants(facts: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
             msg = f"plants.{name} must have a file or a preset, one of the two"
             raise ValueError(msg)
         _only(f"plants.{name}", said, _PLANT_GROWN if "preset" in said else _PLANT_FILE)
-        if "preset" in said and said["preset"] not in PRESETS:
+        if isinstance(said.get("preset"), str) and said["preset"] not in PRESETS:
             msg = f"plants.{name}: no preset {said['preset']!r}; there are {', '.join(PRESETS)}"
             raise ValueError(msg)
+        for key in ("preset", "file", "up"):
+            if key in said and not isinstance(said[key], str):
+                msg = f"plants.{name}: {key} must be text, got {said[key]!r}"
+                raise TypeError(msg)
+        for key in ("seed", "leaf_count"):
+            if key in said and whole(f"plants.{name}: {key}", said[key]) < 0:
+                msg = f"plants.{name}: {key} must be at least 0, got {said[key]}"
+                raise ValueError(msg)
         plants[name] = said
     return plants
 
@@ -206,12 +239,22 @@ def _cameras(facts: Mapping[str, Any]) -> Callable[[Plant], Sequence[Camera]]:
     if not (isinstance(size, list) and len(size) == 2):
         msg = f"[cameras]: size must be [width, height], got {size!r}"
         raise ValueError(msg)
+    if min(whole("[cameras]: size", pixels) for pixels in size) < 1:
+        msg = f"[cameras]: size must be at least 1 pixel each way, got {size!r}"
+        raise ValueError(msg)
+    check_size((size[0], size[1]))
     elevations = _numbers("[cameras]: elevations", facts.get("elevations", DEFAULT_ELEVATIONS_DEG))
     distances = _numbers("[cameras]: distances", facts.get("distances", DEFAULT_DISTANCES))
     count = facts.get("azimuths", DEFAULT_AZIMUTH_COUNT)
-    if isinstance(count, bool) or not isinstance(count, int):
-        msg = f"[cameras]: azimuths must be a whole number, got {count!r}"
-        raise TypeError(msg)
+    if whole("[cameras]: azimuths", count) < 1:
+        msg = f"[cameras]: azimuths must be at least 1, got {count}"
+        raise ValueError(msg)
+    if not all(-90.0 <= degrees <= 90.0 for degrees in elevations):
+        msg = f"[cameras]: elevations must be in -90..90, got {elevations}"
+        raise ValueError(msg)
+    if not all(0.0 < distance < math.inf for distance in distances):
+        msg = f"[cameras]: distances must be finite and above 0, got {distances}"
+        raise ValueError(msg)
 
     def cameras(plant: Plant) -> Sequence[Camera]:
         return default_cameras(

@@ -7,13 +7,15 @@ row as it comes back. So a sweep may be killed at any time, and be run again wit
 
 from __future__ import annotations
 
-import operator
+import json
 import sys
 import uuid
 import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
 
 from treelod import metrics
 from treelod.cameras import Camera, default_cameras
@@ -23,10 +25,10 @@ from treelod.errors import SweepError, SweepWarning
 from treelod.kernel_version import kernel_version
 from treelod.notebook import LiveLine, is_notebook
 from treelod.plants import Plant
-from treelod.render import check_size, sample_count, thread_count
+from treelod.render import check_size
 from treelod.results import View
 from treelod.sweeps import worker
-from treelod.sweeps.cells import Cell, Settings, Timing
+from treelod.sweeps.cells import Cell, Settings, Timing, whole
 from treelod.sweeps.executors import ExecutorLike, crew_of
 from treelod.sweeps.grid import GridLike, expand
 from treelod.sweeps.results import SweepResults, table_of
@@ -156,7 +158,7 @@ def sweep(
     >>> table.groupby("label", sort=False)["view"].count().to_dict()
     {'full_mesh': 2, 'slicings:slice_count=1': 2, 'slicings:slice_count=3': 2}
     """
-    settings = _settings(
+    settings = Settings.checked(
         samples=samples,
         reference_samples=reference_samples,
         repeats=repeats,
@@ -166,30 +168,35 @@ def sweep(
         ppd=ppd,
         yee=yee,
     )
-    if operator.index(retries) < 0:
+    if whole("retries", retries) < 0:
         msg = f"retries must be at least 0, got {retries}"
         raise ValueError(msg)
     if on_error not in ("raise", "record"):
         msg = f"on_error must be 'raise' or 'record', got {on_error!r}"
         raise ValueError(msg)
     named = _named(plants)
-    unknown = sorted(set(sources or {}) - set(named))
-    if unknown:
-        msg = f"sources names {unknown[0]!r}, which is no plant of the sweep"
-        raise ValueError(msg)
+    came = _sources(sources, named)
+    if not isinstance(progress, bool) and not callable(progress):
+        msg = f"progress must be True, False or callable, got {progress!r}"
+        raise TypeError(msg)
     variants = expand(grid)
     views = {name: _views(plant, cameras) for name, plant in named.items()}
     _distinct(named)
-    opened = Store.open(store, make=True)
     cells = [
         Cell.of(name, plant.digest, variant, view, settings, kernel_version())
         for name, plant in named.items()
         for variant in variants
         for view in views[name]
     ]
-    crew = crew_of(executor, opened)
+    # who works is known before a folder is made
+    crew = crew_of(executor, Store(store))
+    try:
+        opened = Store.open(store, make=True)
+    except BaseException:
+        crew.close(at_once=True)
+        raise
     with _shown(progress) as report:
-        run = _Run(named, cells, opened, crew, settings, sources or {}, report, retries, on_error)
+        run = _Run(named, cells, opened, crew, settings, came, report, retries, on_error)
         return run.results()
 
 
@@ -225,12 +232,12 @@ class _Run:
         self._work: dict[str, Counter[str]] = {}
 
     def results(self) -> SweepResults:
-        for cell in self._cells:
-            shard = self._store.read(cell.key)
-            if shard is not None:
-                self._shards[cell.key] = shard
-        found = len(self._shards)
         try:
+            for cell in self._cells:
+                shard = self._store.read(cell.key)
+                if shard is not None:
+                    self._shards[cell.key] = shard
+            found = len(self._shards)
             self._run()
         except BaseException:
             worker.stop(self._name)
@@ -244,6 +251,8 @@ class _Run:
             if shard is not None:
                 # of other names and places, perhaps, when it was stored
                 row = {**shard.row, "plant": cell.plant}
+                if cell.plant in self._sources:
+                    row |= source_columns(self._sources[cell.plant])
                 given = [*cell.variant.given]
                 shards.append(Shard(row, shard.identity, given))
                 places.append(cell.view.index)
@@ -271,7 +280,11 @@ class _Run:
         self._crew.bring(plant for name, plant in self._plants.items() if name in needed)
         self._stage("cells", missing, what, len(self._cells))
         if timing == "exclusive" and (self._on_error == "record" or not self._losses):
-            untimed = [cell for cell in untimed if cell.key in self._shards]
+            untimed = [
+                cell
+                for cell in untimed
+                if cell.key in self._shards and not self._shards[cell.key].is_timed
+            ]
             self._stage("timing", untimed, "times", len(untimed))
 
     def _stage(
@@ -329,6 +342,12 @@ class _Run:
         outcome.work.clear()
         counts["cells"] += 1
         known = self._shards.get(cell.key)
+        if known is None and self._settings.timing == "exclusive":
+            # another sweep may have been quicker; its times are not written over
+            stored = self._store.read(cell.key)
+            if stored is not None and stored.is_timed:
+                self._shards[cell.key] = stored
+                return
         if known is not None:
             row = known.row | row
         else:
@@ -385,35 +404,40 @@ def _facts(loss: Loss) -> dict[str, Any]:
     }
 
 
-def _settings(
-    *,
-    samples: int,
-    reference_samples: int,
-    repeats: int,
-    warmup: int,
-    timing: Timing,
-    threads: int | None,
-    ppd: float,
-    yee: bool,
-) -> Settings:
-    if timing not in ("shared", "exclusive", "none"):
-        msg = f"timing must be 'shared', 'exclusive' or 'none', got {timing!r}"
+def _sources(
+    sources: Mapping[str, Mapping[str, Any]] | None, plants: Mapping[str, Plant]
+) -> dict[str, dict[str, Any]]:
+    """Refuse what cannot be stored of where plants came from."""
+    if sources is None:
+        return {}
+    if not isinstance(sources, Mapping):
+        msg = f"sources must map names of plants to mappings, got {sources!r}"
+        raise TypeError(msg)
+    unknown = sorted(str(name) for name in sources if name not in plants)
+    if unknown:
+        msg = f"sources names {unknown[0]!r}, which is no plant of the sweep"
         raise ValueError(msg)
-    if operator.index(repeats) < 1 or operator.index(warmup) < 0:
-        msg = f"repeats must be at least 1 and warmup at least 0, got {repeats} and {warmup}"
-        raise ValueError(msg)
-    metrics.check_ppd(ppd)
-    is_timed = timing != "none"
-    return Settings(
-        samples=sample_count(samples),
-        reference_samples=sample_count(reference_samples),
-        repeats=operator.index(repeats) if is_timed else 0,
-        warmup=operator.index(warmup) if is_timed else 0,
-        timing=timing,
-        threads=thread_count(threads),
-        ppd=float(ppd),
-        yee=bool(yee),
-    )
+    found: dict[str, dict[str, Any]] = {}
+    for plant, facts in sources.items():
+        where = f"sources: {plant}"
+        if not isinstance(facts, Mapping) or not all(isinstance(name, str) for name in facts):
+            msg = f"{where} must map words to values, got {facts!r}"
+            raise TypeError(msg)
+        plain = {n: v.item() if isinstance(v, np.generic) else v for n, v in facts.items()}
+        try:
+            json.dumps(plain, allow_nan=False)
+        except (TypeError, ValueError, RecursionError) as error:
+            msg = f"{where} must hold what JSON holds: {error}"
+            raise TypeError(msg) from None
+        sha256, seed = plain.get("sha256"), plain.get("seed")
+        if not isinstance(sha256, str | None):
+            msg = f"{where}: sha256 must be text, got {sha256!r}"
+            raise TypeError(msg)
+        if seed is not None and not -(2**63) <= whole(f"{where}: seed", seed) < 2**63:
+            msg = f"{where}: seed must be in -2**63..2**63, got {seed}"
+            raise ValueError(msg)
+        found[plant] = plain
+    return found
 
 
 def _named(plants: Plants) -> dict[str, Plant]:

@@ -142,8 +142,11 @@ def canonical(name: str, value: Any) -> Any:
     TypeError
         If the value has no form that names it: a function, for example.
     """
-    if value is None or isinstance(value, bool | int | float | str):
+    if value is None or isinstance(value, bool | int | str):
         return value
+    if isinstance(value, float):
+        # minus zero is zero, and JSON tells them apart
+        return value + 0.0
     if isinstance(value, tuple):
         return [canonical(name, part) for part in value]
     if isinstance(value, Mapping):
@@ -186,7 +189,7 @@ def _plain(where: str, value: Any, *, is_float: bool) -> Any:
         if not math.isfinite(value):
             msg = f"{where} must be finite, got {value}"
             raise ValueError(msg)
-        return value
+        return value + 0.0
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, Mapping):

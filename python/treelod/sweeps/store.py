@@ -11,6 +11,7 @@ rest, and if its row is wanted it is computed again.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import re
@@ -48,6 +49,11 @@ _NULL_TYPES = {name: pa.string() for name in ("adapter", "git_commit", "plant_sh
     "seed": pa.int64()
 }
 """Types of columns that may be without a value, where they are no numbers with a fraction."""
+
+
+_IDENTITY = {"plant", "technique", "params", "camera", "timing"}
+_COLUMNS = {"plant", "params", "view", "key", "frame_millis", "date", "overdraw", "adapter"}
+"""What tables are made by."""
 
 
 class Shard:
@@ -126,7 +132,7 @@ class Store:
                     raise FileNotFoundError(msg)
                 msg = f"store: {store.folder} holds no sweep: it has no store.json"
                 raise StoreError(msg)
-            if store.folder.exists() and any(store.folder.iterdir()):
+            if store.folder.exists() and not _is_empty(store.folder):
                 msg = f"store: {store.folder} is not empty and holds no sweep"
                 raise StoreError(msg)
             store.folder.mkdir(parents=True, exist_ok=True)
@@ -200,6 +206,7 @@ class Store:
             "key": key,
             "given": shard.given,
             "identity": shard.identity,
+            "row_sha256": _checksum(shard.row, shard.given),
         }
         schema = pa.schema([(name, _type_of(name, value)) for name, value in shard.row.items()])
         out = io.BytesIO()
@@ -258,37 +265,62 @@ def _read(path: Path) -> Shard | None:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             metadata = file.metadata.metadata or {}
             # one row: threads would cost more than they bring
-            table = file.read(use_threads=False)
-    except (OSError, pa.ArrowException) as error:
-        skip(f"it is damaged ({error})")
+            rows = file.read(use_threads=False).to_pylist()
+        if _HEADER not in metadata:
+            skip("it was not written by a sweep")
+            return None
+        shard, why = _told(rows, json.loads(metadata[_HEADER]), path.stem)
+    except (
+        OSError,
+        pa.ArrowException,
+        ValueError,
+        KeyError,
+        TypeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
+        skip(f"it is damaged ({type(error).__name__}: {error})")
         return None
-    try:
-        header = json.loads(metadata[_HEADER])
-        magic, version = header["magic"], header["version"]
-    except (KeyError, ValueError, TypeError):
-        skip("it was not written by a sweep")
-        return None
-    if magic != MAGIC:
-        skip("it was not written by a sweep")
-        return None
-    if version != STORE_VERSION:
-        skip(f"it has version {version}, not {STORE_VERSION}")
-        return None
-    identity, given = header.get("identity"), header.get("given")
-    if not isinstance(identity, dict) or key_of(identity) != path.stem:
-        skip("it belongs to another cell than its name says")
-        return None
-    rows = table.to_pylist()
-    if len(rows) != 1 or rows[0].get("key") != path.stem or not isinstance(given, list):
-        skip("its row is of another cell")
-        return None
-    return Shard(rows[0], identity, given)
+    if shard is None:
+        skip(why)
+    return shard
+
+
+def _told(rows: list[dict[str, Any]], header: dict[str, Any], key: str) -> tuple[Shard | None, str]:
+    """Return the row that a file holds, or why it is none."""
+    if header["magic"] != MAGIC:
+        return None, "it was not written by a sweep"
+    if header["version"] != STORE_VERSION:
+        return None, f"it has version {header['version']}, not {STORE_VERSION}"
+    identity, given = header["identity"], header["given"]
+    if key_of(identity) != key:
+        return None, "it belongs to another cell than its name says"
+    if len(rows) != 1 or rows[0]["key"] != key:
+        return None, "its row is of another cell"
+    (row,) = rows
+    if header["row_sha256"] != _checksum(row, given):
+        return None, "its row is not the one that was written"
+    if not (identity.keys() >= _IDENTITY and row.keys() >= _COLUMNS):
+        return None, "its row lacks columns"
+    return Shard(row, identity, given), ""
 
 
 def _type_of(name: str, value: Any) -> pa.DataType:
     if value is None:
         return _NULL_TYPES.get(name, pa.float64())
     return _TYPES[type(value)]
+
+
+def _is_empty(folder: Path) -> bool:
+    """Tell whether a folder holds nothing, or what a writer left that was killed as it began."""
+    names = [path.name for path in folder.iterdir()]
+    return all(name.startswith(".store.json.") and name.endswith(".tmp") for name in names)
+
+
+def _checksum(row: dict[str, Any], given: list[str]) -> str:
+    """Name a row's content; infinity is a value of it."""
+    text = json.dumps([row, given], sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _remove_stale(folder: Path) -> None:
