@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -200,10 +201,97 @@ def test_summary_keeps_plants_apart(swept):
     row = summary.iloc[10]
     assert row["flip"] == pytest.approx(rows["flip"].mean())
     assert row["views"] == 3
-    base = summary.loc[7, "frame_millis"]
+    base = (rows["speedup"] * rows["frame_millis"]).median()
     assert row["speedup"] == pytest.approx(base / row["frame_millis"])
+    assert (summary.loc[summary["label"] == "full_mesh", "speedup"] == 1.0).all()
     by = table.summary(by=["param_slice_count"])
     assert by["speedup"].notna().all(), "the full mesh is the yardstick for every parameter"
+
+
+def test_summary_compares_with_the_full_mesh_of_the_same_run(swept):
+    table, _ = swept
+    # the yardstick's own rows were drawn while the machine was busy
+    full = table["label"] == "full_mesh"
+    slower = table.copy()
+    slower.loc[full, "frame_millis"] *= 10.0
+    rest = [*set(LABELS) - {"full_mesh"}]
+    before = table.summary().set_index(["label", "plant"])["speedup"].loc[rest]
+    assert slower.summary().set_index(["label", "plant"])["speedup"].loc[rest].equals(before)
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("time_samples", 16),
+        ("reference_samples", 64),
+        ("ppd", 30.0),
+        ("timing", "exclusive"),
+        ("kernel_version", "0" * 32),
+    ],
+)
+def test_summary_keeps_apart_what_was_measured_otherwise(swept, column, value):
+    table, _ = swept
+    other = table.assign(**{column: value, "flip": table["flip"] + 1.0})
+    both = tl.SweepResults(pd.concat([pd.DataFrame(table), pd.DataFrame(other)]))
+    summary = both.summary()
+    assert len(summary) == 28
+    assert summary["flip"].tolist()[:14] == table.summary()["flip"].tolist()
+    assert [*summary.columns[:3]] == ["plant", "label", column]
+
+
+def test_parameters_that_no_signed_integer_holds(tmp_path):
+    grid = {"stochastic_pruning": {"seed": [1, 2**64 - 1]}}
+    table = run(tmp_path / "rows", grid=grid, views=cameras(PLANT, 1), timing="none")
+    assert table["param_seed"].dropna().tolist() == [1, 2**64 - 1]
+    back = tl.load_results(tmp_path / "rows")
+    pd.testing.assert_frame_equal(pd.DataFrame(back), pd.DataFrame(table), check_exact=True)
+    assert table.to_xarray()["seed"].values.tolist() == [1, 2**64 - 1]
+
+
+def test_a_plant_of_two_names_has_its_latest_one(tmp_path, monkeypatch):
+    folder = tmp_path / "rows"
+    monkeypatch.setattr(worker, "_provenance", worker._provenance.__wrapped__)
+    run(folder, {"a": PLANT}, grid={}, timing="none")
+    run(folder, {"b": PLANT}, grid={"stochastic_pruning": {}}, timing="none")
+    table = tl.load_results(folder)
+    # the clock counts seconds: where both are of one, the later letter
+    assert set(table["plant"]) == {"b"}
+    assert len(table.summary()) == 2
+
+
+def test_sources_that_are_given_replace_those_that_are_stored(tmp_path):
+    folder = tmp_path / "rows"
+    run(folder, grid={}, timing="none", sources={"crown": {"seed": 1}})
+    assert run(folder, grid={}, timing="none")["seed"].tolist() == [1] * 3
+    table = run(folder, grid={}, timing="none", sources={"crown": {"seed": np.int64(2)}})
+    assert table["seed"].tolist() == [2] * 3
+    assert table["source"].tolist() == ['{"seed": 2}'] * 3
+
+
+def test_zero_has_no_sign(tmp_path, monkeypatch):
+    (camera,) = cameras(PLANT, 1)
+    calls = count_cells(monkeypatch)
+    for zero in (0.0, -0.0):
+        grid = {"stochastic_pruning": {"shrink": zero}}
+        moved = replace(camera, target=(zero, *camera.target[1:]))
+        run(tmp_path / "rows", grid=grid, views=[moved], timing="none")
+    assert len(calls) == 2
+
+
+def test_times_of_another_sweep_are_not_written_over(tmp_path, monkeypatch):
+    folder = tmp_path / "rows"
+    calls, begun = count_cells(monkeypatch), []
+
+    def progress(*call):
+        if call[0] == "cells" and not begun:
+            begun.append(True)
+            # another one, that ends while this one has yet to begin
+            run(folder, grid={}, timing="exclusive")
+            begun.append(tl.load_results(folder)["frame_millis"].tolist())
+
+    table = run(folder, grid={}, timing="exclusive", progress=progress)
+    assert table["frame_millis"].tolist() == begun[1]
+    assert [what for _, what in calls] == ["errors"] * 3 + ["times"] * 3 + ["errors"] * 3
 
 
 def test_a_part_of_a_table_is_one_too(swept):
@@ -473,6 +561,16 @@ def test_a_failure_of_one_view_spares_the_others(tmp_path, monkeypatch):
         ({"retries": -1}, ValueError, "retries must be at least 0, got -1"),
         ({"on_error": "ignore"}, ValueError, "on_error must be 'raise' or 'record'"),
         ({"sources": {"oak": {}}}, ValueError, "sources names 'oak', which is no plant"),
+        ({"sources": {"crown": {"file": Path("x")}}}, TypeError, "sources: crown must hold what"),
+        ({"sources": {"crown": {"seed": 2**64 - 1}}}, ValueError, "sources: crown: seed must be"),
+        ({"sources": {"crown": {"sha256": 7}}}, TypeError, "sources: crown: sha256 must be text"),
+        ({"sources": {"crown": 7}}, TypeError, "sources: crown must map words"),
+        ({"samples": "1"}, TypeError, "^samples must be a whole number, got '1'"),
+        ({"reference_samples": 2}, ValueError, "^reference_samples must be in"),
+        ({"threads": 1.5}, TypeError, "threads must be a whole number, got 1.5"),
+        ({"yee": "no"}, TypeError, "yee must be True or False, got 'no'"),
+        ({"ppd": "67"}, TypeError, "ppd must be a number, got '67'"),
+        ({"progress": "bar"}, TypeError, "progress must be True, False or callable, got 'bar'"),
         ({"executor": 0}, ValueError, "executor must be at least 1 worker"),
         ({"executor": "pool"}, TypeError, "executor must be None, a number of workers, or"),
         ({"executor": True}, TypeError, "executor must be None"),
@@ -486,7 +584,7 @@ def test_refuses(tmp_path, monkeypatch, change, error, message):
     monkeypatch.setattr(worker, "run", unexpected)
     with pytest.raises(error, match=message):
         run(tmp_path / "rows", **change)
-    assert not [*(tmp_path / "rows").glob("cells/*")]
+    assert not (tmp_path / "rows").exists()
 
 
 def test_refuses_pictures_that_are_too_large(tmp_path):
@@ -633,6 +731,15 @@ def test_one_technique_has_its_parameters_as_axes(swept):
         assert data[name].dims == ("plant", "slice_count", "resolution", "view"), name
     pruned = table.to_xarray("stochastic_pruning")
     assert pruned.sizes == {"plant": 2, "shrink": 2, "view": 3}
+
+
+def test_a_table_of_something_else_is_an_array_by_its_index(swept):
+    table, _ = swept
+    data = table[["flip"]].to_xarray()
+    assert data.sizes == {"index": 42}
+    assert data["flip"].values.tolist() == table["flip"].tolist()
+    with pytest.raises(ValueError, match="technique: there is no column 'plant'"):
+        table[["flip"]].to_xarray("slicings")
 
 
 def test_several_techniques_have_their_labels_as_an_axis(swept):

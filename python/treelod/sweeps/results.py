@@ -34,6 +34,12 @@ PARAM = "param_"
 _PLACE = ("azimuth_deg", "elevation_deg", "distance")
 """What `to_xarray` says of a camera."""
 
+_AXES = ("plant", "label", "technique", "view", *_PLACE)
+"""What `to_xarray` needs."""
+
+_MEASURED = ("time_samples", "reference_samples", "ppd", "timing", "kernel_version")
+"""How a row was measured: rows that differ in one of them are no mean of anything."""
+
 _FIRST = ("plant", "label", "technique", "params")
 
 
@@ -65,10 +71,18 @@ class SweepResults(pd.DataFrame):
         Returns
         -------
         pandas.DataFrame
-            As `Comparison.summary`, one row a plant and label.
+            As `Comparison.summary`, one row a plant and label, and one for each way of measuring
+            where the rows were not all measured alike. ``speedup`` is the median of the full
+            mesh's times, each taken in turns with a row's own, over the median of those.
         """
-        keys = ["plant", *(name for name in by if name != "plant")]
-        table = summarised(pd.DataFrame(self), keys)
+        rows = pd.DataFrame(self)
+        apart = [name for name in _MEASURED if name in rows and rows[name].nunique() > 1]
+        keys = [*dict.fromkeys(["plant", *by, *apart])]
+        table = summarised(rows, keys)
+        # the full mesh's own rows may be of another run, on another machine
+        base = rows.assign(base=rows["speedup"] * rows["frame_millis"])
+        groups = base.groupby(["label", *keys], sort=False, dropna=False)
+        table["speedup"] = groups["base"].median().to_numpy() / table["frame_millis"]
         first = ["plant", "label", *keys[1:]]
         return table[[*first, *(name for name in table.columns if name not in first)]]
 
@@ -81,7 +95,8 @@ class SweepResults(pd.DataFrame):
         ----------
         technique : str, optional
             Whose rows. Default: the one technique beside the full mesh, if there is one; else the
-            rows of all, with labels as an axis.
+            rows of all, with labels as an axis. Of a part without the columns that say what a row
+            is, the index is the axis, as of any other `pandas.DataFrame`.
 
         Returns
         -------
@@ -95,7 +110,8 @@ class SweepResults(pd.DataFrame):
         ImportError
             Without xarray, which the extra ``notebook`` brings.
         ValueError
-            If there are no such rows, or two for one cell: of different samples, for example.
+            If there are no such rows, or two for one cell: of different samples, for example; or
+            if a technique is asked for without the columns that name it.
         """
         try:
             import xarray as xr
@@ -103,6 +119,14 @@ class SweepResults(pd.DataFrame):
             msg = "to_xarray needs xarray: pip install 'treelod[notebook]'"
             raise ImportError(msg) from error
         rows = pd.DataFrame(self)
+        absent = [name for name in _AXES if name not in rows]
+        if absent and technique is None:
+            # whatever was made of the rows, and is a table of its own
+            plain: xr.Dataset = rows.to_xarray()
+            return plain
+        if absent:
+            msg = f"technique: there is no column {absent[0]!r} to tell its rows by"
+            raise ValueError(msg)
         others = rows.loc[rows["label"] != FullMesh.name, "technique"].unique()
         if technique is None and len(others) == 1:
             technique = str(others[0])
@@ -156,7 +180,7 @@ def load_results(directory: str | os.PathLike[str]) -> SweepResults:
     -------
     SweepResults
         Rows of all sweeps that wrote there, by plant, technique, parameters and view. Labels tell
-        apart what varies in the store.
+        apart what varies in the store. A plant that sweeps named differently has its latest name.
 
     Raises
     ------
@@ -171,6 +195,12 @@ def load_results(directory: str | os.PathLike[str]) -> SweepResults:
         For each file that is damaged or none of ours; it is skipped.
     """
     shards = [*Store.open(directory, make=False).read_all()]
+    latest = {
+        shard.identity["plant"]: shard.row["plant"]
+        for shard in sorted(shards, key=lambda shard: (shard.row["date"], shard.row["plant"]))
+    }
+    for shard in shards:
+        shard.row["plant"] = latest[shard.identity["plant"]]
     places = _places(shards)
     order = {name: index for index, name in enumerate(REGISTRY)}
     given = {name for shard in shards for name in shard.given}
@@ -238,11 +268,15 @@ def table_of(shards: Sequence[Shard], views: Sequence[int]) -> SweepResults:
 def _typed_param(values: Sequence[Any]) -> pd.Series[Any]:
     """Give a parameter's values one type: numbers where all are, else text."""
     kinds = {type(value) for value in values if value is not None}
+    whole = [value for value in values if type(value) is int]
+    low, high = min(whole, default=0), max(whole, default=0)
     if kinds == {bool}:
         return pd.Series(values, dtype="boolean")
-    if kinds == {int}:
+    if kinds == {int} and low >= -(2**63) and high < 2**63:
         return pd.Series(values, dtype="Int64")
-    if kinds and kinds <= {int, float}:
+    if kinds == {int} and low >= 0 and high < 2**64:
+        return pd.Series(values, dtype="UInt64")
+    if float in kinds and kinds <= {int, float} and low >= -(2**53) and high <= 2**53:
         return pd.Series(values, dtype="float64")
     texts = [v if v is None or isinstance(v, str) else written(v) for v in values]
     return pd.Series(texts, dtype="string")
@@ -254,6 +288,8 @@ def _axis(column: pd.Series[Any]) -> pd.Series[Any]:
         return column.astype("object").map(lambda v: "none" if pd.isna(v) else str(v))
     if column.dtype == "Int64":
         return column.astype("int64")
+    if column.dtype == "UInt64":
+        return column.astype("uint64")
     if column.dtype == "boolean":
         return column.astype("bool")
     return column if pd.api.types.is_numeric_dtype(column) else column.astype("object")
@@ -288,5 +324,5 @@ def _rank(value: Any) -> tuple[Any, ...]:
     if value is None:
         return (0,)
     if isinstance(value, bool | int | float):
-        return (1, float(value))
+        return (1, value)
     return (2, value if isinstance(value, str) else written(value))
