@@ -11,6 +11,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 
@@ -201,6 +202,23 @@ def test_a_broken_pool_that_nobody_can_make_again_is_an_error(tmp_path):
         run(tmp_path / "rows", grid=POISON, executor=pool)
     # what was done before is kept
     assert {"full_mesh"} <= set(tl.load_results(tmp_path / "rows")["label"])
+
+
+def test_workers_that_cannot_start_are_not_the_cells_fault(tmp_path):
+    pools = []
+
+    def make():
+        pools.append(forkserver(1, os._exit, 1))
+        return pools[-1]
+
+    with pytest.raises(SweepError, match=r"workers die before they work .*if __name__ == "):
+        run(tmp_path / "rows", grid={}, executor=make, timing="none", on_error="record")
+    assert len(pools) == 2
+    assert len(tl.load_results(tmp_path / "rows")) == 0
+
+
+def test_a_number_of_workers_may_be_one_of_numpy(tmp_path):
+    assert executors.crew_of(np.int64(1), Store(tmp_path)).width == 1
 
 
 def test_workers_of_other_code_are_refused(tmp_path, monkeypatch):

@@ -107,6 +107,18 @@ class Crew:
         self.executor.shutdown(wait=False, cancel_futures=True)
         self.executor = _made(self._make)
 
+    def check_alive(self) -> None:
+        """Refuse to go on with workers that die before they do anything."""
+        try:
+            self.executor.submit(os.getpid).result()
+        except BrokenExecutor as error:
+            msg = (
+                f"workers die before they work ({error}): a script that uses processes must be "
+                'guarded by `if __name__ == "__main__":`, and what starts a worker, an '
+                "initializer for example, must work in the environment of the workers"
+            )
+            raise SweepError(msg) from error
+
     def is_lost(self, error: BaseException) -> bool:
         """Tell whether a job failed because its worker died."""
         return isinstance(error, BrokenExecutor)

@@ -141,6 +141,7 @@ class Schedule:
     _suspects: deque[tuple[Group, Cell]] = field(default_factory=deque)
     _deaths: Counter[str] = field(default_factory=Counter)
     _is_stopping: bool = False
+    _have_worked: bool = False
 
     def run(self) -> None:
         """
@@ -218,6 +219,7 @@ class Schedule:
 
     def _accept(self, out: _Out, outcome: Outcome) -> None:
         group = out.group
+        self._have_worked = True
         for position, row in sorted(outcome.rows.items()):
             self.keep(out.cells[position], row, outcome)
             group.row_count += 1
@@ -272,6 +274,10 @@ class Schedule:
             else:
                 self._suspect(out)
         self.crew.revive(error)
+        if not self._have_worked:
+            # is it the cells, or can nobody work at all?
+            self.crew.check_alive()
+            self._have_worked = True
 
     def _give_up(self, loss: Loss) -> None:
         self.lose(loss)
