@@ -61,7 +61,13 @@ def test_writes_rows_tables_and_plots(run, tmp_path, monkeypatch):
     names = [
         f"{plant}_{plot}.png"
         for plant in ("00_lawn", "01_a_b")
-        for plot in ("error_by_azimuth", "error_by_distance", "speed_against_error")
+        for plot in (
+            "error_against_shrink",
+            "error_by_azimuth",
+            "error_by_distance",
+            "memory_against_error",
+            "speed_against_error",
+        )
     ]
     assert sorted(path.name for path in (out / "plots").iterdir()) == names
     with Image.open(out / "plots" / names[0]) as picture:
@@ -83,7 +89,12 @@ def test_untimed_rows_have_no_plot_of_speed(run, tmp_path):
     done = run("--timing", "none", text=text)
     assert done.exit_code == 0, done.output
     plots = sorted(path.name for path in (tmp_path / "out" / "plots").iterdir())
-    assert plots == ["error_by_azimuth.png", "error_by_distance.png"]
+    assert plots == [
+        "error_against_shrink.png",
+        "error_by_azimuth.png",
+        "error_by_distance.png",
+        "memory_against_error.png",
+    ]
     assert "nan" not in done.stdout
     assert pd.read_parquet(tmp_path / "out" / "results.parquet")["frame_millis"].isna().all()
 
@@ -96,7 +107,7 @@ def test_plots_of_an_earlier_run_are_replaced_and_others_left_alone(tmp_path, mo
     command._write(SweepResults(two), tmp_path)
     names = {path.name for path in (tmp_path / "plots").iterdir()}
     assert "01_a_b_speed_against_error.png" in names
-    assert len(names) == 6
+    assert len(names) == 8
     own = tmp_path / "plots" / "my_error_by_distance.png"
     own.write_bytes(b"mine")
     half = np.arange(len(table)) % 2 == 0
@@ -105,6 +116,7 @@ def test_plots_of_an_earlier_run_are_replaced_and_others_left_alone(tmp_path, mo
     assert names == [
         "error_by_azimuth.png",
         "error_by_distance.png",
+        "memory_against_error.png",
         "my_error_by_distance.png",
         "speed_against_error_2_threads.png",
         "speed_against_error_8_threads.png",

@@ -111,6 +111,8 @@ def walk(
     """
     Go around or through growing groves of a plant: primitives and milliseconds of each technique.
 
+    The worst case is that of windows of 20 frames, without the slowest 5 %; it takes 400 frames.
+
     The report is OUTPUT/walk.html, one self-contained page.
     Beside it lie walk.parquet, walk.csv and the plot.
     """
@@ -146,7 +148,8 @@ def walk(
         )
         page = write_walk(found, output)
     console = Console(width=None if Console().is_terminal else 160)
-    table = Table(title=f"{found.plant}: around groves")
+    way = "around" if path is WalkPath.CIRCLE else "through"
+    table = Table(title=f"{found.plant}: {way} groves")
     table.add_column("technique", overflow="fold")
     for name in ("trees", "primitives", "frame ms", "worst case ms"):
         table.add_column(name, justify="right", no_wrap=True)

@@ -214,8 +214,8 @@ def looks(table: pd.DataFrame) -> dict[str, Look]:
     """
     Give each label a look, in the order of appearance.
 
-    A technique has one colour; its settings go from pale to full. Labels differ in markers while
-    there are enough, then techniques do.
+    A technique has one colour; along what was swept its settings go from pale to full, whatever
+    else they differ in. Labels differ in markers while there are enough, then techniques do.
     """
     check_columns(table, "label")
     found = {}
@@ -223,8 +223,11 @@ def looks(table: pd.DataFrame) -> dict[str, Look]:
     enough = len(order) <= len(MARKERS)
     for position, family in enumerate(families(table)):
         color = COLORS[position % len(COLORS)]
-        for place, label in enumerate(family.labels):
-            last = len(family.labels) - 1
+        values = [value for path in family.paths for value in path.values]
+        ranks = sorted({_rank(value) for value in values})
+        last = len(ranks) - 1
+        for label, value in zip(family.labels, values, strict=True):
+            place = ranks.index(_rank(value))
             white = _PALEST * (1.0 - place / last) if last else 0.0
             number = order.index(label) if enough else position
             found[label] = Look(color, _paler(color, white), MARKERS[number % len(MARKERS)])
@@ -276,6 +279,8 @@ def legend_entries(table: pd.DataFrame) -> list[tuple[str, Any]]:
     for family in families(table):
         last = known[family.labels[-1]]
         text = range_text(family) + (" (pale to full)" if family.swept else "")
+        if len(family.paths) > 1:
+            text += f", at {len(family.paths)} settings of the rest"
         entries.append((text, last.line("-")))
     return entries
 

@@ -10,19 +10,21 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+import pandas as pd
+
 from treelod import plots
 from treelod.columns import without_infinity
 from treelod.errors import SweepWarning
 from treelod.files import atomic_write
 from treelod.sweeps.config import check_settings, read_config
 from treelod.sweeps.driver import sweep
+from treelod.sweeps.results import PARAM
 from treelod.sweeps.store import Store
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Iterator
 
-    import pandas as pd
     from matplotlib.figure import Figure
 
     from treelod.comparison import Progress
@@ -32,7 +34,8 @@ if TYPE_CHECKING:
 __all__ = ["run_config"]
 
 _OWN_PICTURE = re.compile(
-    r"(\d{2,}_[\w.-]*_)?(speed_against_error(_\d+_threads)?|error_by_(azimuth|distance))\.png"
+    r"(\d{2,}_[\w.-]*_)?(speed_against_error(_\d+_threads)?|memory_against_error"
+    r"|error_against_\w+|error_by_(azimuth|distance))\.png"
 )
 """What the pictures of this command are called, with more than one plant or with one."""
 
@@ -156,6 +159,21 @@ def _figures(rows: pd.DataFrame) -> dict[str, Figure]:
     for threads, those in timed:
         end = f"_{threads}_threads" if len(timed) > 1 else ""
         figures[f"speed_against_error{end}"] = plots.speed_against_error(those)
+    figures["memory_against_error"] = plots.memory_against_error(rows)
+    for name in _swept(rows):
+        figures[f"error_against_{name}"] = plots.error_against_parameter(rows, name)
     figures["error_by_azimuth"] = plots.error_by_azimuth(rows)
     figures["error_by_distance"] = plots.error_by_distance(rows)
     return figures
+
+
+def _swept(rows: pd.DataFrame) -> list[str]:
+    """Parameters that have several numbers."""
+    columns = [name for name in map(str, rows.columns) if name.startswith(PARAM)]
+    return [
+        name.removeprefix(PARAM)
+        for name in columns
+        if pd.api.types.is_numeric_dtype(rows[name])
+        and not pd.api.types.is_bool_dtype(rows[name])
+        and rows[name].nunique() > 1
+    ]
