@@ -28,15 +28,8 @@
 import os
 
 import pandas as pd
-from IPython.display import Image, display
 
 import treelod as tl
-
-
-def show(figure):
-    """Show a figure as a picture."""
-    display(Image(tl.plots.encode(figure, "png", dpi=90)))
-
 
 # %% [markdown]
 # Settings stand in one cell, so that they are easy to change. With `TREELOD_NOTEBOOK_SCALE=small`
@@ -115,7 +108,7 @@ print(f"PSNR {errors.psnr:.1f} dB, SSIM {errors.ssim:.3f}")
 # shine through that leaves had hidden.
 
 # %%
-show(tl.plots.picture_strip({"slicings": frame}, reference=truth))
+tl.plots.picture_strip({"slicings": frame}, reference=truth)
 
 # %% [markdown]
 # ## Several techniques, many views
@@ -196,7 +189,7 @@ summary.pivot(index="label", columns="distance", values="coverage_bias").round(3
 # cheaper against triangles. Errors are the same everywhere.
 
 # %%
-show(tl.plots.speed_against_error(table))
+tl.plots.speed_against_error(table)
 
 # %% [markdown]
 # At 10 and at 30 radii points are the quickest of those that look right. At 3 radii the mesh

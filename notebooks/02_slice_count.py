@@ -30,15 +30,7 @@
 # %%
 import os
 
-from IPython.display import Image, display
-
 import treelod as tl
-
-
-def show(figure):
-    """Show a figure as a picture."""
-    display(Image(tl.plots.encode(figure, "png", dpi=90)))
-
 
 # %% tags=["parameters"]
 small = os.environ.get("TREELOD_NOTEBOOK_SCALE") == "small"
@@ -73,7 +65,7 @@ frames = {
     for count in slice_counts
     if count in (1, 3, 7)
 }
-show(tl.plots.picture_strip(frames, reference=truth, background="white"))
+tl.plots.picture_strip(frames, reference=truth, background="white")
 
 # %% [markdown]
 # All three get the outline right, roughly. But a single card lies at one depth, while leaves on
@@ -113,7 +105,7 @@ table = tl.sweep(
 # dotted line is the mesh with 4 samples a pixel: who gets below it is as good as the mesh.
 
 # %%
-show(tl.plots.error_against_parameter(table, "slice_count"))
+tl.plots.error_against_parameter(table, "slice_count")
 
 # %% [markdown]
 # The same as numbers, with what each step down the list gains:
@@ -140,10 +132,10 @@ flip.join(flip.diff().add_prefix("step at ")).round(3)
 # Bytes grow with every slice, and so do fragments: each slice covers nearly the whole crown again.
 
 # %%
-show(tl.plots.memory_against_error(table))
+tl.plots.memory_against_error(table)
 
 # %%
-show(tl.plots.error_against_parameter(table, "slice_count", "fragments"))
+tl.plots.error_against_parameter(table, "slice_count", "fragments")
 
 # %% [markdown]
 # Fragments grow in proportion to slices. At 5 slices they are more than twice those of the mesh,
@@ -155,7 +147,7 @@ show(tl.plots.error_against_parameter(table, "slice_count", "fragments"))
 # and peaks half way between.
 
 # %%
-show(tl.plots.error_by_azimuth(table))
+tl.plots.error_by_azimuth(table)
 
 # %% [markdown]
 # ## More directions instead?
@@ -172,7 +164,7 @@ directions = tl.sweep(
     reference_samples=16,
     timing="none",
 )
-show(tl.plots.error_against_parameter(directions, "slicing_count"))
+tl.plots.error_against_parameter(directions, "slicing_count")
 
 # %%
 directions.summary().set_index("label")[["flip", "flip_worst", "total_bytes"]].round(3)

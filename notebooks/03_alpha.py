@@ -38,15 +38,7 @@
 # %%
 import os
 
-from IPython.display import Image, display
-
 import treelod as tl
-
-
-def show(figure):
-    """Show a figure as a picture."""
-    display(Image(tl.plots.encode(figure, "png", dpi=90)))
-
 
 # %% tags=["parameters"]
 small = os.environ.get("TREELOD_NOTEBOOK_SCALE") == "small"
@@ -79,7 +71,7 @@ frames = {
     )
     for alpha in (alphas[0], 0.01, alphas[-1])
 }
-show(tl.plots.picture_strip(frames, reference=truth, background="white"))
+tl.plots.picture_strip(frames, reference=truth, background="white")
 
 # %% [markdown]
 # With 0 leaves go to the nearest plane, whatever way they face. Projected into it, most become
@@ -113,7 +105,7 @@ table = tl.sweep(
 # ## The curve
 
 # %%
-show(tl.plots.error_against_parameter(table, "alpha_rel"))
+tl.plots.error_against_parameter(table, "alpha_rel")
 
 # %%
 best = table.summary(by=["distance"]).merge(
@@ -135,12 +127,12 @@ best.pivot_table(
 # ## Why: coverage
 
 # %%
-show(tl.plots.error_against_parameter(table, "alpha_rel", "coverage_bias"))
+tl.plots.error_against_parameter(table, "alpha_rel", "coverage_bias")
 
 # %% [markdown]
 # A leaf that leans by an angle $a$ from its plane is projected to $\cos a$ of its area, so that
 # crowns of small weight are too thin. The more the angle weighs, the less is lost. Turned leaves
-# keep their area, and their curve is flat.
+# keep their area, and their curve is nearly flat.
 #
 # Both stay a little too thin. Cards of 128 x 128 texels are coarse for a plant of this size: what
 # is thinner than a texel does not pass the alpha test.

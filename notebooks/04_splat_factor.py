@@ -30,15 +30,8 @@
 import os
 
 import pandas as pd
-from IPython.display import Image, display
 
 import treelod as tl
-
-
-def show(figure):
-    """Show a figure as a picture."""
-    display(Image(tl.plots.encode(figure, "png", dpi=90)))
-
 
 # %% tags=["parameters"]
 small = os.environ.get("TREELOD_NOTEBOOK_SCALE") == "small"
@@ -62,7 +55,7 @@ camera = tl.orbit(plant, 5, 10, distance=10, size=(180, 135), fov_y_deg=16)[1]
 truth = tl.render(tl.FullMesh.build(plant), camera, samples=64)
 lod = {factor: tl.PointsAndLines.build(plant, splat_factor=factor) for factor in (0.5, 1.3, 3.0)}
 frames = {f"s = {s:g}": tl.render(points, camera, samples=64) for s, points in lod.items()}
-show(tl.plots.picture_strip(frames, reference=truth, background="white"))
+tl.plots.picture_strip(frames, reference=truth, background="white")
 
 # %% [markdown]
 # With 0.5 the trunk shows through holes. With 3 the crown is a solid mass, and all that is fine at
@@ -93,7 +86,7 @@ table = tl.sweep(plant, {"points_and_lines": {"splat_factor": factors}}, cameras
 # ## The curve
 
 # %%
-show(tl.plots.error_against_parameter(table, "splat_factor"))
+tl.plots.error_against_parameter(table, "splat_factor")
 
 # %% [markdown]
 # Each distance has its best factor, inside the range, and it *shrinks with distance*: near 1 at 5
@@ -104,7 +97,7 @@ show(tl.plots.error_against_parameter(table, "splat_factor"))
 # Why? The mean coverage says it: below 0 there are holes, above 0 the crown is too dense.
 
 # %%
-show(tl.plots.error_against_parameter(table, "splat_factor", "coverage_bias"))
+tl.plots.error_against_parameter(table, "splat_factor", "coverage_bias")
 
 # %% [markdown]
 # Coverage rises with every step of $s$, and crosses 0 close to where the error is least. Near by
@@ -128,7 +121,7 @@ few = both[both["label"].str.fullmatch(r"full_mesh|.*=(0\.7|1|1\.3|coverage)")]
 few.pivot_table(index="label", columns="distance", values="flip", sort=False).round(3)
 
 # %%
-show(tl.plots.coverage(few))
+tl.plots.coverage(few)
 
 # %% [markdown]
 # The measured factor has an error as small as that of the best fixed one at every distance, or

@@ -24,16 +24,10 @@
 import os
 from pathlib import Path
 
-from IPython.display import Image, display
+from IPython.display import display
 
 import treelod as tl
 from treelod.techniques import REGISTRY
-
-
-def show(figure):
-    """Show a figure as a picture."""
-    display(Image(tl.plots.encode(figure, "png", dpi=90)))
-
 
 # %% [markdown]
 # Put your plant here: the name of a preset, or a file (GLB, glTF, OBJ, PLY). Pictures of 240 x 180
@@ -125,13 +119,13 @@ drawn.unstack().round().astype(int)
 # take the order of magnitude, and run it on a quiet machine for more.
 
 # %%
-show(tl.plots.speed_against_error(table))
+tl.plots.speed_against_error(table)
 
 # %% [markdown]
 # ## Memory against error
 
 # %%
-show(tl.plots.memory_against_error(table))
+tl.plots.memory_against_error(table)
 
 # %% [markdown]
 # ## Too thin or too dense
@@ -140,7 +134,7 @@ show(tl.plots.memory_against_error(table))
 # Where a line leaves 0, the technique lets too much background through, or too little.
 
 # %%
-show(tl.plots.coverage(table))
+tl.plots.coverage(table)
 
 # %% [markdown]
 # ## From where
@@ -151,7 +145,7 @@ show(tl.plots.coverage(table))
 # %%
 for label, rows in table.groupby("label", sort=False):
     if (rows["texture_bytes"] > 0).all():
-        show(tl.plots.error_heat_map(table, label))
+        display(tl.plots.error_heat_map(table, label))
 
 # %% [markdown]
 # ## What it looks like
@@ -167,7 +161,7 @@ for label, rows in near.groupby("label", sort=False):
     truth = tl.render(mesh, camera, samples=reference_samples)
     lod = REGISTRY[rows["technique"].iloc[0]].build(plant)
     frame = tl.render(lod, camera, samples=reference_samples)
-    show(tl.plots.picture_strip({label: frame}, reference=truth, background="white"))
+    display(tl.plots.picture_strip({label: frame}, reference=truth, background="white"))
 
 # %% [markdown]
 # ## On the grove

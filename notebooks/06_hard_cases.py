@@ -27,16 +27,9 @@ import os
 
 import numpy as np
 import pandas as pd
-from IPython.display import Image, display
 
 import treelod as tl
 from treelod.techniques import REGISTRY
-
-
-def show(figure):
-    """Show a figure as a picture."""
-    display(Image(tl.plots.encode(figure, "png", dpi=90)))
-
 
 # %% tags=["parameters"]
 small = os.environ.get("TREELOD_NOTEBOOK_SCALE") == "small"
@@ -136,7 +129,7 @@ frames = {
     )
     for eigen in ("exact", "paper")
 }
-show(tl.plots.picture_strip(frames, reference=truth, background="white"))
+tl.plots.picture_strip(frames, reference=truth, background="white")
 
 # %% [markdown]
 # Where the weight is small both agree. At 0.1 the paper's planes are worse in nearly all clusters.
@@ -226,7 +219,7 @@ above.groupby(["elevation_deg", "label"], sort=False)[
 camera = tl.orbit(grove, 12, 75, 3, picture_size)[1]
 truth = tl.render(tl.FullMesh.build(grove), camera, samples=16)
 frame = tl.render(tl.Slicings.build(grove, resolution=128), camera, samples=16)
-show(tl.plots.picture_strip({"slicings": frame}, reference=truth, background="white"))
+tl.plots.picture_strip({"slicings": frame}, reference=truth, background="white")
 
 # %% [markdown]
 # Up to 15 degrees nothing happens. From 30 on slices are seen at a slant, gaps open between them,
@@ -387,7 +380,7 @@ frames = {
     kind.name: tl.render(kind.build(odd), camera, samples=16)
     for kind in (tl.Slicings, tl.SimplifiedMesh)
 }
-show(tl.plots.picture_strip(frames, reference=truth, background="white"))
+tl.plots.picture_strip(frames, reference=truth, background="white")
 
 # %% [markdown]
 # Half way between two directions, slicings show the leaf twice, flattened into two planes, each

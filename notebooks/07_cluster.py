@@ -33,15 +33,8 @@ from pathlib import Path
 
 import pandas as pd
 from distributed import Client
-from IPython.display import Image, display
 
 import treelod as tl
-
-
-def show(figure):
-    """Show a figure as a picture."""
-    display(Image(tl.plots.encode(figure, "png", dpi=90)))
-
 
 # %% tags=["parameters"]
 small = os.environ.get("TREELOD_NOTEBOOK_SCALE") == "small"
@@ -205,7 +198,7 @@ done = sum(counts["cells"] for counts in larger.attrs["work"]["workers"].values(
 print(f"{larger.attrs['work']['stored']} rows were there, {done} were computed")
 
 # %%
-show(tl.plots.memory_against_error(larger))
+tl.plots.memory_against_error(larger)
 
 # %% [markdown]
 # ## What to time on a cluster
