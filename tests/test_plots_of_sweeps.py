@@ -498,7 +498,8 @@ def test_plants_in_panels_of_their_own_and_missing_values_are_no_mixture():
 
 def test_every_plot_shows_itself_in_a_notebook_once():
     # a formatter without matplotlib's own printers: no pyplot, no magic command
-    formatter = pytest.importorskip("IPython.core.formatters", reason="no IPython").DisplayFormatter
+    from IPython.core.formatters import DisplayFormatter
+
     table = sweep(columns=True)
     crown = random_crown(5)
     frame = tl.render(tl.FullMesh.build(crown), tl.orbit(crown, 1, size=(32, 32))[0])
@@ -507,7 +508,7 @@ def test_every_plot_shows_itself_in_a_notebook_once():
         plots.popping(switch_table()),
         plots.picture_strip({"a": frame}, frame),
     ):
-        data, _ = formatter().format(figure)
+        data, _ = DisplayFormatter().format(figure)
         assert data["image/png"].startswith(b"\x89PNG")
         assert "image/svg+xml" not in data
 

@@ -7,7 +7,7 @@ from treelod.techniques.points_and_lines import PointsAndLines
 from treelod.techniques.simplified_mesh import SimplifiedMesh
 from treelod.techniques.slicings import Slicings
 from treelod.techniques.stochastic_pruning import StochasticPruning
-from treelod.techniques.technique import BakedTexture, Footprint, Technique
+from treelod.techniques.technique import BakedTexture, Footprint, Technique, TextureFormat
 
 __all__ = [
     "REGISTRY",
@@ -21,6 +21,7 @@ __all__ = [
     "Slicings",
     "StochasticPruning",
     "Technique",
+    "TextureFormat",
 ]
 
 REGISTRY: dict[str, type[Technique]] = {
