@@ -51,6 +51,8 @@ pub struct View {
     pub near: f64,
     /// Pixels a metre across over pixels a metre up: 1 for cameras, anything for bakes.
     pub pixel_aspect: f64,
+    /// When the picture is taken, in seconds: what moves by itself moves with it.
+    pub time_secs: f64,
 }
 
 impl View {
@@ -107,6 +109,7 @@ impl View {
             height: size.1,
             near,
             pixel_aspect: 1.0,
+            time_secs: 0.0,
         })
     }
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import treelod as tl
-from made_plants import random_crown
+from made_plants import crown, random_crown
 
 SIZE = (40, 40)
 CAMERA = tl.Camera.perspective((0, 0, 9), (0, 0, 0), size=SIZE)
@@ -137,3 +137,60 @@ def test_only_techniques_are_placed():
     for wrong in (random_crown(3), None, tl.FullMesh):
         with pytest.raises(TypeError, match="built techniques"):
             tl.Scene([(wrong, None)])
+
+
+def test_wind_moves_the_top_and_not_the_foot():
+    # a wall of 2 x 4 m that stands on the ground: pixels of 0.1 m
+    lod = tl.FullMesh.build(crown([((0, 2, 0), (1, 0, 0), (0, 2, 0))]))
+    camera = tl.Camera.orthographic((0, 2, 9), (0, 2, 0), height=6, size=(60, 60))
+    still = tl.render(lod, camera, samples=1).color[..., 3] > 0
+    assert (still[10:50].sum(axis=1) == 20).all()
+    assert still.sum() == 20 * 40
+    blown = tl.Scene([(lod, None)], wind=tl.Wind(lean=0.25, sway=0.0))
+    picture = tl.render(blown, camera, samples=1).color[..., 3] > 0
+    left = picture[10:50].argmax(axis=1)
+    # row 49 is 0.05 m above the foot, row 10 is 3.95 m above it; a pixel is 0.1 m
+    heights = 3.95 - 0.1 * np.arange(40)
+    np.testing.assert_allclose(left, 20 + 2.5 * heights, atol=0.51)
+    assert (picture[10:50].sum(axis=1) == 20).all(), "a shear keeps every width"
+    away = tl.Scene([(lod, None)], wind=tl.Wind(lean=0.25, sway=0.0, azimuth_deg=180.0))
+    np.testing.assert_array_equal(tl.render(away, camera, samples=1).color[..., 3] > 0, still)
+
+
+def test_wind_moves_with_the_cameras_time(mesh, slicings):
+    for lod in (mesh, slicings):
+        scene = tl.Scene([(lod, [moved(-2, 0, 0), moved(2, 0, 0)])], wind=tl.Wind(sway=0.2))
+        frames = [tl.render(scene, CAMERA.at(t)).color for t in (0.0, 1.0, 4.0)]
+        assert (frames[0] != frames[1]).any()
+        np.testing.assert_array_equal(frames[0], frames[2], "a period of 4 seconds")
+        other = tl.Scene([(lod, [moved(-2, 0, 0), moved(2, 0, 0)])], wind=tl.Wind(sway=0.2, seed=1))
+        assert (tl.render(other, CAMERA).color != frames[0]).any()
+        calm = tl.Scene([(lod, [moved(-2, 0, 0), moved(2, 0, 0)])], wind=tl.Wind(sway=0.0))
+        still = tl.Scene([(lod, [moved(-2, 0, 0), moved(2, 0, 0)])])
+        np.testing.assert_array_equal(
+            tl.render(calm, CAMERA.at(1.0)).color, tl.render(still, CAMERA).color
+        )
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("sway", -0.1),
+        ("sway", np.nan),
+        ("lean", 1.1),
+        ("period_secs", 0.0),
+        ("azimuth_deg", 361.0),
+        ("seed", -1),
+    ],
+)
+def test_bad_winds_are_refused(field, value):
+    with pytest.raises(ValueError, match=field):
+        tl.Wind(**{field: value})
+
+
+def test_something_else_than_a_wind_is_refused(mesh):
+    with pytest.raises(TypeError, match="wind must be a Wind"):
+        tl.Scene([(mesh, None)], wind=0.1)
+    for time_secs in (np.nan, 1e10):
+        with pytest.raises(ValueError, match="time_secs"):
+            CAMERA.at(time_secs)

@@ -38,6 +38,7 @@ from treelod.techniques import (
     Slicings,
     StochasticPruning,
 )
+from treelod.wind import Wind
 
 if TYPE_CHECKING:
     from treelod import metrics, plots, walks
@@ -75,6 +76,7 @@ __all__ = [
     "SweepWarning",
     "TreelodError",
     "ViewState",
+    "Wind",
     "__version__",
     "cluster_leaves",
     "collapse_leaves",

@@ -174,6 +174,14 @@ class _CameraFacts(TypedDict):
     height: float | None
     size: tuple[int, int]
     near: float
+    time_secs: float
+
+class _WindFacts(TypedDict):
+    lean: float
+    sway: float
+    period_secs: float
+    azimuth_deg: float | None
+    seed: int
 
 @final
 class Representation:
@@ -186,7 +194,12 @@ class Representation:
 
 @final
 class Scene:
-    def __new__(cls, groups: Sequence[tuple[Representation, NDArray[np.float64]]]) -> Scene: ...
+    def __new__(
+        cls,
+        groups: Sequence[tuple[Representation, NDArray[np.float64]]],
+        *,
+        wind: _WindFacts | None = None,
+    ) -> Scene: ...
     @property
     def instance_count(self) -> int: ...
     @property

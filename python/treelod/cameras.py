@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import operator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +42,9 @@ DEFAULT_DISTANCES = (2.5, 10.0, 40.0)
 MAX_SIZE = 16384
 """Largest width or height of a picture in pixels."""
 
+MAX_TIME_SECS = 1e9
+"""Farthest time from 0 in seconds: thirty years."""
+
 NEAR_REL = 1e-3
 """Default near plane, as a share of the distance from eye to target."""
 
@@ -71,6 +74,9 @@ class Camera:
         Width and height in pixels, each in 1..=16384.
     near : float
         Distance of the near plane from the eye in metres, along the view, above 0.
+    time_secs : float
+        When the picture is taken, in seconds, in [-1e9, 1e9]: what a `Wind` moves moves with it.
+        Default: 0.
 
     Raises
     ------
@@ -86,6 +92,7 @@ class Camera:
     height: float | None
     size: tuple[int, int]
     near: float
+    time_secs: float = 0.0
 
     def __post_init__(self) -> None:
         """Check every field and store plain floats and ints."""
@@ -111,6 +118,11 @@ class Camera:
         if self.height is not None:
             object.__setattr__(self, "height", _positive("height", self.height))
         object.__setattr__(self, "near", _positive("near", self.near))
+        time_secs = float(self.time_secs)
+        if not -MAX_TIME_SECS <= time_secs <= MAX_TIME_SECS:
+            msg = f"time_secs must be in [{-MAX_TIME_SECS:g}, {MAX_TIME_SECS:g}], got {time_secs}"
+            raise ValueError(msg)
+        object.__setattr__(self, "time_secs", time_secs)
 
     @classmethod
     def perspective(
@@ -214,6 +226,31 @@ class Camera:
             size=size,
             near=_default_near(eye, target) if near is None else near,
         )
+
+    def at(self, time_secs: float) -> Camera:
+        """
+        Return the same camera at another time.
+
+        Parameters
+        ----------
+        time_secs : float
+            In seconds, in [-1e9, 1e9].
+
+        Returns
+        -------
+        Camera
+
+        Raises
+        ------
+        ValueError
+            If it is out of range or not finite.
+
+        Examples
+        --------
+        >>> Camera.perspective((0, 0, 10), (0, 0, 0)).at(2.5).time_secs
+        2.5
+        """
+        return replace(self, time_secs=time_secs)
 
     @property
     def is_perspective(self) -> bool:

@@ -327,6 +327,7 @@ def camera_facts(camera: Camera) -> _core._CameraFacts:
         "height": camera.height,
         "size": camera.size,
         "near": camera.near,
+        "time_secs": camera.time_secs,
     }
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from treelod import _core
+from treelod.wind import wind_facts
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from treelod.techniques.technique import Technique
+    from treelod.wind import Wind
 
 __all__ = ["Scene", "scatter"]
 
@@ -36,6 +38,9 @@ class Scene:
         `transforms` has shape (N, 4, 4) or (4, 4): column-vector matrices from the plant's own
         world to the scene's, with a last row 0 0 0 1. None stands for one copy where the plant's
         file put it.
+    wind : Wind, optional
+        What moves the copies as time passes from camera to camera: see `Wind` and `Camera.at`.
+        Default: none.
 
     Raises
     ------
@@ -43,7 +48,7 @@ class Scene:
         If transforms have another shape, are not finite, hold a number above 1e18 or flatten the
         plant.
     TypeError
-        If something else than a technique is placed.
+        If something else than a technique is placed, or something else than a `Wind` blows.
     LimitError
         If there are more than 2**28 copies.
 
@@ -58,7 +63,9 @@ class Scene:
     2
     """
 
-    def __init__(self, groups: Sequence[tuple[Technique, ArrayLike | None]]) -> None:
+    def __init__(
+        self, groups: Sequence[tuple[Technique, ArrayLike | None]], *, wind: Wind | None = None
+    ) -> None:
         pairs = []
         for technique, transforms in groups:
             if not isinstance(getattr(technique, "_core", None), _core.Representation):
@@ -71,7 +78,7 @@ class Scene:
                 msg = f"transforms must have shape (N, 4, 4), got {matrices.shape}"
                 raise ValueError(msg)
             pairs.append((technique._core, np.ascontiguousarray(matrices)))
-        self._core = _core.Scene(pairs)
+        self._core = _core.Scene(pairs, wind=wind_facts(wind))
 
     @property
     def instance_count(self) -> int:
@@ -80,7 +87,7 @@ class Scene:
 
     @property
     def bounds(self) -> NDArray[np.float64] | None:
-        """Lowest and highest corner of the box around all copies, shape (2, 3), in metres."""
+        """Lowest and highest corner, in metres, around all copies wherever wind may move them."""
         box = self._core.bounds
         return None if box is None else np.array(box)
 

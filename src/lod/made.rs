@@ -90,7 +90,7 @@ pub(crate) fn perspective(eye: DVec3, target: DVec3, up: DVec3) -> View {
 }
 
 pub(crate) fn crown_at(world_from_local: DAffine3, rank: u32) -> Crown {
-    Crown { world_from_local, distance: 1.0, rank, key: (0, rank) }
+    Crown { distance: 1.0, rank, key: (0, rank), ..Crown::alone(world_from_local) }
 }
 
 pub(crate) fn emit(lod: &dyn Representation, view: &View, crowns: &[Crown]) -> DrawList {

@@ -18,17 +18,19 @@ pub(crate) mod made;
 pub mod simplify;
 pub mod solid;
 pub mod view_blend;
+pub mod wind;
 pub mod wood;
 pub mod wood_levels;
 
 use std::fmt::Debug;
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DVec3, Vec3};
 
 use crate::bake::BakeRect;
 use crate::draw_list::{DrawList, Instance, Item};
 use crate::error::LodError;
+use crate::lod::wind::Gust;
 use crate::texture::Texture;
 use crate::view::View;
 use crate::view_state::{Key, ViewState};
@@ -72,12 +74,23 @@ pub struct Crown {
     pub rank: u32,
     /// Whose memory it has.
     pub key: Key,
+    /// Multiplies its colours.
+    pub tint: Vec3,
+    /// The wind, for techniques that sway by themselves; for all others it is in the transform.
+    pub wind: Option<Gust>,
 }
 
 impl Crown {
+    /// A single copy, as a scene places the first of its first group.
+    pub fn alone(world_from_local: DAffine3) -> Self {
+        let (distance, rank, key, tint) = (0.0, 0, (0, 0), Vec3::ONE);
+        Self { world_from_local, distance, rank, key, tint, wind: None }
+    }
+
     /// An instance of this copy.
     pub fn instance(&self, view: &View) -> Instance {
-        Instance::new(&self.world_from_local, view)
+        let tint = self.tint.extend(1.0);
+        Instance { tint, ..Instance::new(&self.world_from_local, view) }
     }
 
     /// The eye in local coordinates.
@@ -130,6 +143,18 @@ pub trait Representation: Debug + Send + Sync {
     /// Pixels by which it may draw beyond that box: points and lines have their size in pixels.
     fn margin_px(&self) -> f64 {
         0.0
+    }
+
+    /// What stays in the wind: the middle of the lower side of the box.
+    fn foot(&self) -> DVec3 {
+        let (low, high) = self.bounds();
+        DVec3::new((low.x + high.x) * 0.5, low.y, (low.z + high.z) * 0.5)
+    }
+
+    /// Whether it moves in the wind by itself, rather than being sheared as a whole. No part of it may
+    /// move farther than the top of its box would when sheared.
+    fn sways(&self) -> bool {
+        false
     }
 
     /// World position of local zero when the plant stands where its file put it.

@@ -326,7 +326,7 @@ impl PointsAndLines {
     /// chosen all the same.
     pub fn selection(&self, view: &View) -> Vec<Chosen> {
         let world_from_local = glam::DAffine3::from_translation(self.built.origin);
-        let crown = Crown { world_from_local, distance: 1.0, rank: 0, key: (0, 0) };
+        let crown = Crown { distance: 1.0, ..Crown::alone(world_from_local) };
         let seen = self.seen(view, &crown);
         (0..self.groups().len()).map(|group| self.choose(group, &seen)).collect()
     }

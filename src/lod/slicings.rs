@@ -434,7 +434,7 @@ fn needed_resolutions(
     }
     // placed as a scene places a single copy, so that both come to the same shares
     let world_from_local = DAffine3::from_translation(leaves.plant.origin);
-    let crown = Crown { world_from_local, distance: 0.0, rank: 0, key: (0, 0) };
+    let crown = Crown::alone(world_from_local);
     let mut needed: Vec<Option<f64>> = vec![None; layouts.len()];
     for view in views {
         let viewer = Viewer::new(view, &crown, leaves.center, leaves.radius);

@@ -355,7 +355,7 @@ mod tests {
             .zip(places)
             .map(|(rank, &z)| {
                 let world_from_local = DAffine3::from_translation(DVec3::Z * z);
-                Crown { world_from_local, distance: 0.0, rank, key: (0, rank) }
+                Crown { rank, key: (0, rank), ..Crown::alone(world_from_local) }
             })
             .collect()
     }

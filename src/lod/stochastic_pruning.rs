@@ -275,7 +275,7 @@ impl StochasticPruning {
     /// How the leaves are drawn for a view of the plant where its file put it.
     pub fn level(&self, view: &View) -> Level {
         let world_from_local = glam::DAffine3::from_translation(self.built.origin);
-        self.choose(view, &Crown { world_from_local, distance: 1.0, rank: 0, key: (0, 0) })
+        self.choose(view, &Crown { distance: 1.0, ..Crown::alone(world_from_local) })
     }
 
     fn choose(&self, view: &View, crown: &Crown) -> Level {

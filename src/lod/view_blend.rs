@@ -179,7 +179,7 @@ impl ViewBlend {
 }
 
 /// The horizontal part of a direction; straight above or below, what the picture's up points at.
-fn level_direction(toward: DVec3, up: DVec3) -> DVec3 {
+pub(crate) fn level_direction(toward: DVec3, up: DVec3) -> DVec3 {
     let level = DVec3::new(toward.x, 0.0, toward.z);
     if level.length() >= 1e-6 * toward.length() && toward != DVec3::ZERO {
         return level;

@@ -141,7 +141,7 @@ impl FoliageHierarchy {
         let found = run(py, threads, None, move |job| {
             // one copy, where the plant's file put it
             let world_from_local = DAffine3::from_translation(inner.origin());
-            let crown = Crown { world_from_local, distance: 0.0, rank: 0, key: (0, 0) };
+            let crown = Crown::alone(world_from_local);
             let mut state = ViewState::default();
             let mut found = Vec::with_capacity(views.len());
             for view in &views {

@@ -21,6 +21,7 @@ mod simplified_mesh;
 mod stochastic_pruning;
 mod structure;
 mod view;
+mod wind;
 
 use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
 use pyo3::prelude::*;

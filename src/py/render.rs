@@ -12,6 +12,7 @@ use pyo3::types::PyDict;
 use super::lod::Representation;
 use super::run::run;
 use super::view::CameraFacts;
+use super::wind::WindFacts;
 use crate::error::LodError;
 use crate::job::Job;
 use crate::raster::{self, Frame, Outputs, Settings, Stats};
@@ -28,12 +29,15 @@ pub(super) struct Scene {
 
 #[pymethods]
 impl Scene {
-    /// Pairs of a representation and an (N, 4, 4) array of transforms.
+    /// Pairs of a representation and an (N, 4, 4) array of transforms; the wind that blows there.
     #[new]
+    #[pyo3(signature = (groups, *, wind = None))]
     fn new(
         py: Python<'_>,
         groups: Vec<(PyRef<'_, Representation>, PyReadonlyArray3<'_, f64>)>,
+        wind: Option<WindFacts>,
     ) -> PyResult<Self> {
+        let wind = wind.map(|facts| facts.wind()).transpose()?;
         let mut parts = Vec::new();
         for (representation, transforms) in &groups {
             parts.push((Arc::clone(&representation.inner), affine_rows(transforms)?));
@@ -44,7 +48,10 @@ impl Scene {
             for (representation, transforms) in parts {
                 scene.add(representation, &transforms)?;
             }
-            Ok(scene)
+            match wind {
+                Some(wind) => scene.in_wind(wind),
+                None => Ok(scene),
+            }
         })?;
         Ok(Self { inner: Arc::new(inner) })
     }

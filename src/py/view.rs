@@ -3,8 +3,11 @@
 use glam::DVec3;
 use pyo3::prelude::*;
 
-use crate::error::LodError;
+use crate::error::{LodError, check_in};
 use crate::view::{Projection, View};
+
+/// Thirty years either way: a period of a second is then still resolved to a millionth.
+const MAX_TIME_SECS: f64 = 1e9;
 
 /// A camera as Python states it; exactly one of `fov_y_deg` and `height` is given.
 #[derive(FromPyObject)]
@@ -17,6 +20,7 @@ pub(super) struct CameraFacts {
     height: Option<f64>,
     size: (u32, u32),
     near: f64,
+    time_secs: f64,
 }
 
 impl CameraFacts {
@@ -30,6 +34,9 @@ impl CameraFacts {
             }
         };
         let [eye, target, up] = [self.eye, self.target, self.up].map(DVec3::from);
-        View::new(eye, target, up, projection, self.size, self.near)
+        check_in("time_secs", self.time_secs, -MAX_TIME_SECS..=MAX_TIME_SECS)?;
+        let mut view = View::new(eye, target, up, projection, self.size, self.near)?;
+        view.time_secs = self.time_secs;
+        Ok(view)
     }
 }

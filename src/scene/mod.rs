@@ -6,6 +6,7 @@ use glam::{DAffine3, DVec3};
 
 use crate::draw_list::DrawList;
 use crate::error::{LodError, check_limit};
+use crate::lod::wind::{Gust, Wind};
 use crate::lod::{Crown, ListBuilder, Representation, largest_scale};
 use crate::raster::Outputs;
 use crate::view::{MAX_COORDINATE, View};
@@ -39,6 +40,7 @@ struct Group {
 #[derive(Debug, Clone, Default)]
 pub struct Scene {
     groups: Vec<Group>,
+    wind: Option<Wind>,
 }
 
 impl Scene {
@@ -80,15 +82,29 @@ impl Scene {
         Ok(())
     }
 
+    /// The same scene in a wind, which moves with the time of each view.
+    ///
+    /// # Errors
+    /// As [`Wind::check`].
+    pub fn in_wind(self, wind: Wind) -> Result<Self, LodError> {
+        wind.check()?;
+        Ok(Self { wind: Some(wind), ..self })
+    }
+
     /// Copies of all representations.
     pub fn instance_count(&self) -> u64 {
         self.groups.iter().map(|group| group.placements.len() as u64).sum()
     }
 
-    /// World box around every copy, or `None` without any.
+    /// World box around every copy, wherever the wind may move it, or `None` without any.
     pub fn bounds(&self) -> Option<(DVec3, DVec3)> {
         let boxes = self.groups.iter().flat_map(|group| {
-            let (low, high) = group.representation.bounds();
+            let (mut low, mut high) = group.representation.bounds();
+            if let Some(wind) = self.wind {
+                let sideways = wind.reach() * (high.y - group.representation.foot().y);
+                low -= DVec3::new(sideways, 0.0, sideways);
+                high += DVec3::new(sideways, 0.0, sideways);
+            }
             group.placements.iter().map(move |placement| world_box(placement, low, high))
         });
         boxes.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
@@ -109,9 +125,21 @@ impl Scene {
             let (low, high) = group.representation.bounds();
             let (center, radius) = ((low + high) * 0.5, (high - low).length() * 0.5);
             let margin_px = group.representation.margin_px();
+            let (foot, sways) = (group.representation.foot(), group.representation.sways());
             for (index, placement) in group.placements.iter().enumerate() {
+                let key = (
+                    u32::try_from(number).expect("few representations"),
+                    u32::try_from(index).expect("checked when added"),
+                );
+                let wind = self.wind.map(|wind| Gust { wind, time_secs: view.time_secs, key });
+                let (mut placement, mut radius) = (*placement, radius);
+                match wind {
+                    Some(gust) if sways => radius += gust.wind.reach() * (high.y - foot.y),
+                    Some(gust) => placement = placement * gust.shear(view, &placement, foot),
+                    None => {}
+                }
                 let world_center = placement.transform_point3(center);
-                let world_radius = radius * largest_scale(placement);
+                let world_radius = radius * largest_scale(&placement);
                 let farthest = view.view_from_world(world_center).z + world_radius;
                 let margin = margin_px * view.pixel_size_at(farthest.max(view.near));
                 if !view.sees_ball(world_center, world_radius + margin) {
@@ -122,12 +150,8 @@ impl Scene {
                 } else {
                     world_center.distance(view.eye)
                 };
-                let key = (
-                    u32::try_from(number).expect("few representations"),
-                    u32::try_from(index).expect("checked when added"),
-                );
-                let crown = Crown { world_from_local: *placement, distance, rank: 0, key };
-                visible.push((number, crown));
+                let wind = wind.filter(|_| sways);
+                visible.push((number, Crown { distance, key, wind, ..Crown::alone(placement) }));
             }
         }
         // far to near; equal distances by representation and copy
@@ -316,6 +340,43 @@ mod tests {
             low.abs_diff_eq(expected.0, 1e-12) && high.abs_diff_eq(expected.1, 1e-12),
             "{low} {high}"
         );
+    }
+
+    fn steady(lean: f64) -> Wind {
+        Wind { lean, sway: 0.0, period_secs: 1.0, toward: None, seed: 0 }
+    }
+
+    #[test]
+    fn copies_are_sheared_about_their_feet() {
+        let mut scene = Scene::default();
+        let turned = at(0.0, 3.0, 0.0) * DAffine3::from_rotation_y(2.0);
+        scene.add(probe(DVec3::ZERO), &[turned]).expect("valid");
+        let scene = scene.in_wind(steady(0.25)).expect("a breeze");
+        let plan = scene.plan(&perspective(), Outputs::COLOR, &mut ViewState::default());
+        let instance = plan.expect("valid").remove(0).list.instances[0];
+        let shown = |p: DVec3| instance.linear * p.as_vec3() + instance.translation;
+        let still = |p: DVec3| (turned.transform_point3(p) - DVec3::Z * 10.0).as_vec3();
+        let (foot, top) = (DVec3::new(0.5, -1.0, 0.5), DVec3::new(0.5, 1.0, 0.5));
+        assert!(shown(foot).abs_diff_eq(still(foot), 1e-6), "what stands on the ground stays");
+        let moved = shown(top) - still(top);
+        assert!(moved.abs_diff_eq(glam::Vec3::X * 0.5, 1e-6), "2 m times 0.25: {moved}");
+        let (low, high) = scene.bounds().expect("one copy");
+        let calm = Scene { wind: None, ..scene }.bounds().expect("one copy");
+        assert!(high.y == calm.1.y && low.y == calm.0.y, "as high as before");
+        assert!(high.x > calm.1.x + 0.5 && low.x < calm.0.x - 0.5, "wider: 2 m times 0.25");
+    }
+
+    #[test]
+    fn a_leaning_copy_is_seen_where_it_leans_to() {
+        // still, 12.5 is just outside; the middle moves 1 m aside, and the ball grows with the shear
+        for (x, lean, is_seen) in [(14.0, -1.0, true), (16.0, 1.0, false), (14.0, 0.0, false)] {
+            let mut scene = Scene::default();
+            scene.add(probe(DVec3::ZERO), &[at(x, 0.0, 0.0)]).expect("valid");
+            let scene = scene.in_wind(steady(lean)).expect("a storm");
+            let seen = scene.plan(&perspective(), Outputs::COLOR, &mut ViewState::default());
+            let count = seen.expect("valid")[0].list.items.len();
+            assert_eq!(count == 1, is_seen, "{x} m aside, leaning by {lean}");
+        }
     }
 
     #[test]

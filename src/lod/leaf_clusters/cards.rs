@@ -137,7 +137,7 @@ impl<'a> Baker<'a> {
         };
         // placed as a scene places a single copy
         let world_from_local = DAffine3::from_translation(self.plant.origin);
-        let crown = Crown { world_from_local, distance: 0.0, rank: 0, key: (0, 0) };
+        let crown = Crown::alone(world_from_local);
         let mut needed = [None::<f64>; 2];
         for view in views {
             let side = if self.params.two_sided {

@@ -116,8 +116,7 @@ impl Slicings {
         let eye = self.center + toward * (4.0 * radius);
         let size = (FIT_SIDE, FIT_SIDE);
         let view = View::new(eye, self.center, up, projection, size, radius * 1e-3)?;
-        let crown =
-            Crown { world_from_local: DAffine3::IDENTITY, distance: 0.0, rank: 0, key: (0, 0) };
+        let crown = Crown::alone(DAffine3::IDENTITY);
         let mut builder = ListBuilder::default();
         self.emit_slices(&view, &crown, &mut builder)?;
         let settings = Settings {
