@@ -1,6 +1,7 @@
 """Walks around groves: where trees and cameras stand, and what is counted and timed."""
 
 import json
+import math
 
 import numpy as np
 import pandas as pd
@@ -379,6 +380,28 @@ def test_the_plot_has_a_line_a_technique(found):
         plots.walk_costs(found.table.iloc[:0])
 
 
+def test_the_worst_case_is_plotted_beside_the_mean_and_over_the_mesh():
+    rows = [
+        (label, count, mean * count, worst * count)
+        for label, mean, worst in [("full_mesh", 30.0, 60.0), ("slicings", 2.0, 4.0)]
+        for count in (1, 10)
+    ]
+    names = ["label", "tree_count", "frame_millis_mean", "frame_millis_worst"]
+    table = pd.DataFrame(rows, columns=names)
+    millis, ratio = plots.worst_case(table).axes
+    drawn = [tuple(line.get_ydata()) for line in millis.lines]
+    assert drawn == [(60.0, 600.0), (30.0, 300.0), (4.0, 40.0), (2.0, 20.0)]
+    assert [line.get_markerfacecolor() == "white" for line in millis.lines] == [False, True] * 2
+    over, jakulin = ratio.lines
+    assert over.get_ydata().tolist() == [15.0, 15.0]
+    assert list(jakulin.get_ydata()) == [20.0, 20.0]
+    assert len(plots.worst_case(table, baseline=None).axes) == 1
+    with pytest.raises(ValueError, match="baseline 'full_mesh' has no row"):
+        plots.worst_case(table.iloc[1:])
+    with pytest.raises(ValueError, match="at least 200 drawn frames"):
+        plots.worst_case(table.assign(frame_millis_worst=[1.0, 2.0, 3.0, math.nan]))
+
+
 def test_the_report_is_one_page_with_tables_beside_it(found, tmp_path):
     evil = found.table.assign(label="<b>x</b>")
     walk = walks.Walk(plant="a & b", table=evil, settings=found.settings, made=found.made)
@@ -412,17 +435,24 @@ def test_the_command_walks(tmp_path):
 
 def test_the_command_walks_through(tmp_path):
     specs = ["-t", "full_mesh", "-t", "simplified_mesh:triangle_count=100"]
-    options = ["--trees", "2", "--frames", "400", "--size", "8x6", "--samples", "1"]
+    options = ["--trees", "2", "--frames", "220", "--size", "8x6", "--samples", "1"]
     every = ["--every", "simplified_mesh:triangle_count=100=2"]
     arguments = ["walk", "chestnut", "-o", str(tmp_path), "--leaf-count", "30", "--path", "through"]
     done = CliRunner().invoke(cli.app, [*arguments, *options, *specs, *every])
     assert done.exit_code == 0, done.output
     table = pd.read_csv(tmp_path / "walk.csv")
-    assert table["frames"].tolist() == [400, 200]
+    assert table["frames"].tolist() == [220, 120]
     assert table["frame_millis_worst"].isna().tolist() == [False, True]
     html = (tmp_path / "walk.html").read_text(encoding="utf-8")
     assert "a walk through groves" in html
     assert "one of 2 windows of 20 frames" in html
+    assert html.count("data:image/svg+xml") == 1, "no worst case for each row, so no plot of it"
+    assert not (tmp_path / "walk_worst_case.png").exists()
+    done = CliRunner().invoke(cli.app, [*arguments, *options, *specs])
+    assert done.exit_code == 0, done.output
+    html = (tmp_path / "walk.html").read_text(encoding="utf-8")
+    assert html.count("data:image/svg+xml") == 2
+    assert (tmp_path / "walk_worst_case.png").stat().st_size > 1000
     done = CliRunner().invoke(cli.app, [*arguments, *options, "--every", "full_mesh"])
     assert done.exit_code == 2
     assert "SPEC=COUNT" in done.output

@@ -111,10 +111,10 @@ def walk(
     """
     Go around or through growing groves of a plant: primitives and milliseconds of each technique.
 
-    The worst case is that of windows of 20 frames, without the slowest 5 %; it takes 400 frames.
+    The worst case is that of windows of 20 frames, without the slowest 5 %; it takes 200 frames.
 
     The report is OUTPUT/walk.html, one self-contained page.
-    Beside it lie walk.parquet, walk.csv and the plot.
+    Beside it lie walk.parquet, walk.csv and the plots.
     """
     specs = [FullMesh.name, *all_techniques()] if technique is None else technique
     wanted = dict(technique_of(text) for text in specs)

@@ -7,7 +7,7 @@ Techniques keep one colour through all plots of a table, and are told apart in p
 colour-blind. `encode` turns a figure into the bytes of a file.
 """
 
-from treelod.plots.costs import walk_costs
+from treelod.plots.costs import walk_costs, worst_case
 from treelod.plots.fronts import memory_against_error, pareto_front, speed_against_error
 from treelod.plots.heat_maps import error_heat_map
 from treelod.plots.parameters import error_against_parameter
@@ -33,4 +33,5 @@ __all__ = [
     "popping",
     "speed_against_error",
     "walk_costs",
+    "worst_case",
 ]

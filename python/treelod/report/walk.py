@@ -12,6 +12,7 @@ from treelod import plots
 from treelod.files import atomic_write
 from treelod.report import images, text
 from treelod.report.page import check_folder
+from treelod.techniques import FullMesh
 
 if TYPE_CHECKING:
     import os
@@ -36,7 +37,8 @@ def write_walk(walk: Walk, directory: str | os.PathLike[str]) -> Path:
     -------
     Path
         The page, ``walk.html``, self-contained. Beside it ``walk.csv`` and ``walk.parquet`` with
-        all columns, and the plot as ``walk_costs.svg`` and ``.png``.
+        all columns, and the plots as ``walk_costs`` and, where every row has a worst case,
+        ``walk_worst_case``, both ``.svg`` and ``.png``.
 
     Raises
     ------
@@ -52,10 +54,15 @@ def write_walk(walk: Walk, directory: str | os.PathLike[str]) -> Path:
     parquet = io.BytesIO()
     walk.table.to_parquet(parquet, index=False)
     atomic_write(folder / "walk.parquet", parquet.getvalue())
-    figure = plots.walk_costs(walk.table)
-    svg = plots.encode(figure, "svg")
-    atomic_write(folder / "walk_costs.svg", svg)
-    atomic_write(folder / "walk_costs.png", plots.encode(figure, "png"))
+    figures = {"walk_costs": plots.walk_costs(walk.table)}
+    if not walk.table["frame_millis_worst"].isna().any():
+        baseline = FullMesh.name if FullMesh.name in set(walk.table["label"]) else None
+        figures["walk_worst_case"] = plots.worst_case(walk.table, baseline)
+    drawn = {}
+    for name, figure in figures.items():
+        drawn[name] = plots.encode(figure, "svg")
+        atomic_write(folder / f"{name}.svg", drawn[name])
+        atomic_write(folder / f"{name}.png", plots.encode(figure, "png"))
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("treelod.report", "."),
         # labels and names of plants come from outside
@@ -69,7 +76,7 @@ def write_walk(walk: Walk, directory: str | os.PathLike[str]) -> Path:
     page = environment.get_template("walk.html.j2").render(
         walk=walk,
         rows=walk.table.to_dict("records"),
-        plot=images.data_uri(svg, "image/svg+xml"),
+        plots={name: images.data_uri(svg, "image/svg+xml") for name, svg in drawn.items()},
     )
     path = folder / "walk.html"
     atomic_write(path, page.encode("utf-8"))
