@@ -129,7 +129,7 @@ pub fn levels(image: &LinearImage, keep: Keep, job: &Job) -> Result<Vec<Image>, 
 pub fn stored(mut levels: Vec<Image>, format: Format, job: &Job) -> Result<Arc<Texture>, LodError> {
     format.store(&mut levels, &|| job.check())?;
     let byte_count = format.byte_count(&levels);
-    Ok(Texture::with_byte_count(levels, byte_count)?.decoded_ahead())
+    Ok(Texture::with_byte_count(levels, byte_count)?.decoded_ahead().bounded())
 }
 
 #[cfg(test)]

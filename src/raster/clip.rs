@@ -82,30 +82,38 @@ impl ClipSpace {
         Some([self.project(a), self.project(b)])
     }
 
-    /// Perspective-correct weights of a triangle's corners at a pixel, clamped to the triangle.
-    ///
-    /// Works for corners behind the eye: the weights solve `sum w_i corner_i = s (x, y, 1)`.
-    pub(crate) fn weights(&self, corners: [DVec3; 3], pixel: [f64; 2]) -> [f32; 3] {
-        let [a, b, c] = corners.map(|p| self.transform(p));
-        let at = [pixel[0] - self.center[0], pixel[1] - self.center[1]];
-        let raw = if self.perspective {
-            let ray = DVec3::new(at[0], at[1], 1.0);
-            [ray.dot(b.cross(c)), ray.dot(c.cross(a)), ray.dot(a.cross(b))]
-        } else {
-            let area = |p: [f64; 2], q: [f64; 2], r: [f64; 2]| {
-                (q[0] - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (q[1] - p[1])
-            };
-            let [a, b, c] = [a, b, c].map(|p| [p.x, p.y]);
-            [area(at, b, c), area(a, at, c), area(a, b, at)]
-        };
-        let sign = if raw.iter().sum::<f64>() < 0.0 { -1.0 } else { 1.0 };
+    /// What gives the weights of a triangle's corners anywhere on the picture.
+    pub(crate) fn weight_forms(&self, corners: [DVec3; 3]) -> WeightForms {
+        let [a, b, c] = corners.map(|p| {
+            let at = self.transform(p);
+            // parallel rays meet the plane at depth 1 in the same weights
+            if self.perspective { at } else { DVec3::new(at.x, at.y, 1.0) }
+        });
+        WeightForms { forms: [b.cross(c), c.cross(a), a.cross(b)], center: self.center }
+    }
+}
+
+/// Perspective-correct weights of a triangle's corners, clamped to the triangle.
+///
+/// Works for corners behind the eye: the weights solve `sum w_i corner_i = s (x, y, 1)`, so each is
+/// linear on the picture up to a factor that they share.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct WeightForms {
+    forms: [DVec3; 3],
+    center: [f64; 2],
+}
+
+impl WeightForms {
+    #[inline(always)]
+    pub(crate) fn at(&self, [x, y]: [f64; 2]) -> [f32; 3] {
+        let (x, y) = (x - self.center[0], y - self.center[1]);
+        let raw = self.forms.map(|form| form.x * x + form.y * y + form.z);
+        let sign = if raw[0] + raw[1] + raw[2] < 0.0 { -1.0 } else { 1.0 };
         let positive = raw.map(|w| (w * sign).max(0.0));
-        let total: f64 = positive.iter().sum();
-        if !(total > 0.0 && total.is_finite()) {
-            return [1.0 / 3.0; 3];
-        }
+        let total = positive[0] + positive[1] + positive[2];
+        let is_known = total > 0.0 && total.is_finite();
         #[expect(clippy::cast_possible_truncation, reason = "weights in [0, 1]")]
-        let weights = positive.map(|w| (w / total) as f32);
+        let weights = positive.map(|w| if is_known { (w / total) as f32 } else { 1.0 / 3.0 });
         weights
     }
 }
@@ -168,10 +176,10 @@ mod tests {
     fn weights_see_through_the_eye() {
         let corners =
             [DVec3::new(0.0, 0.0, 4.0), DVec3::new(4.0, 0.0, 4.0), DVec3::new(0.0, 4.0, -4.0)];
-        let weights = space().weights(corners, [0.5, 0.0]);
+        let weights = space().weight_forms(corners).at([0.5, 0.0]);
         assert_eq!(weights, [0.5, 0.5, 0.0], "half way along the edge in front");
         // three quarters of the first corner and one of the third make (0, 1, 2): pixel (0, 0.5)
-        let weights = space().weights(corners, [0.0, 0.5]);
+        let weights = space().weight_forms(corners).at([0.0, 0.5]);
         assert_eq!(weights, [0.75, 0.0, 0.25], "between a corner in front and one behind");
     }
 

@@ -9,7 +9,10 @@ use std::ops::{Add, Mul, Sub};
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles};
 
 use crate::draw_list::{Blend, Buffers, DrawList, Instance, Item, Surface};
+use crate::raster::clip::WeightForms;
 use crate::raster::cut_out::CutOut;
+use crate::raster::lookup::Lookup;
+use crate::raster::over::Over;
 use crate::raster::placing::{Placing, ScreenVertex, normal_matrix};
 use crate::raster::setup::{Shape, Unit, flags};
 use crate::texture::{Distribution, Filter, Sampler, Texture};
@@ -51,7 +54,7 @@ impl Look<'_> {
 
     /// Premultiplied linear colour.
     #[inline]
-    fn sample(&self, uv: Vec2, lod: f32) -> Vec4 {
+    pub(crate) fn sample(&self, uv: Vec2, lod: f32) -> Vec4 {
         match self.distribution {
             None => self.texture.sample(self.sampler, uv, lod),
             Some(distribution) => distribution.sample(self.texture, self.sampler, uv, lod),
@@ -68,12 +71,15 @@ impl Look<'_> {
 }
 
 /// What can be interpolated.
-trait Mixed: Copy + Mul<f32, Output = Self> + Add<Output = Self> + Sub<Output = Self> {}
+pub(crate) trait Mixed:
+    Copy + Mul<f32, Output = Self> + Add<Output = Self> + Sub<Output = Self>
+{
+}
 impl<T: Copy + Mul<f32, Output = T> + Add<Output = T> + Sub<Output = T>> Mixed for T {}
 
 /// A value between three corners'; exact where all are equal.
-#[inline]
-fn mix<T: Mixed>([a, b, c]: [T; 3], weights: [f32; 3]) -> T {
+#[inline(always)]
+pub(crate) fn mix<T: Mixed>([a, b, c]: [T; 3], weights: [f32; 3]) -> T {
     a + (b - a) * weights[1] + (c - a) * weights[2]
 }
 
@@ -124,22 +130,47 @@ impl<'a> Material<'a> {
         opacity * texel * self.instance.tint.w
     }
 
-    /// The alpha test of a textured shape that does not reach behind the eye, as vectors take it.
+    /// How the texture of a shape is read by vectors, if it has one.
+    pub(crate) fn lookup(&self, weigher: &Weigher) -> Option<Lookup<'a>> {
+        let look = self.look?;
+        let Weigher { kind, uvs, opacities, .. } = *weigher;
+        Some(Lookup {
+            kind,
+            uvs,
+            opacities,
+            tint: self.instance.tint.w,
+            look,
+            texels: look.texels(),
+        })
+    }
+
+    /// The alpha test of a textured shape, as vectors take it.
     pub(crate) fn cut_out(
         &self,
         weigher: &Weigher,
         cutoff: impl Fn(usize) -> f32,
         sample_count: usize,
     ) -> Option<CutOut<'a>> {
-        let look = self.look?;
-        let Kind::Planar(planar) = weigher.kind else { return None };
+        let lookup = self.lookup(weigher)?;
         let mut cutoffs = [0.0; 16];
         for (sample, stored) in cutoffs.iter_mut().take(sample_count).enumerate() {
             *stored = cutoff(sample);
         }
-        let (uvs, opacities) = (weigher.uvs, weigher.opacities);
-        let (tint, texels) = (self.instance.tint.w, look.texels());
-        Some(CutOut { planar, uvs, opacities, tint, look, texels, cutoffs })
+        Some(CutOut { lookup, cutoffs })
+    }
+
+    /// A blended textured shape, as vectors paint its colour.
+    pub(crate) fn over(&self, shape: &Shape, weigher: &Weigher) -> Option<Over<'a>> {
+        let lookup = self.lookup(weigher)?;
+        let side = self.side(shape);
+        let lit = weigher.sources.map(|v| side[v as usize]);
+        Some(Over { lookup, lit, tint: self.instance.tint })
+    }
+
+    /// Lit colours of the vertices on the side of a shape that is seen.
+    fn side(&self, shape: &Shape) -> &'a [Vec3] {
+        let Buffers { front, back, .. } = self.buffers;
+        if shape.tag.has(flags::FRONT) { front } else { back }
     }
 
     /// Level of detail of the texture at a pixel; 0 unless it is read with mips.
@@ -187,8 +218,7 @@ impl<'a> Material<'a> {
         } else {
             alpha = 1.0;
         }
-        let side = if front { &self.buffers.front } else { &self.buffers.back };
-        let lit = self.mix(side, sources, weights) * texel * tint.xyz();
+        let lit = self.mix(self.side(shape), sources, weights) * texel * tint.xyz();
         let mut shaded = [(lit * alpha).extend(alpha), Vec4::ZERO, Vec4::ZERO];
         if want_albedo {
             let base = self.mix(&self.buffers.base, sources, weights).xyz();
@@ -214,13 +244,11 @@ pub(crate) struct Weigher {
     opacities: [f32; 3],
 }
 
-enum Kind {
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Kind {
     Planar(Planar),
     /// Reaches behind the eye.
-    Clipped {
-        space: Box<Placing>,
-        corners: [glam::DVec3; 3],
-    },
+    Clipped(WeightForms),
 }
 
 /// The second and third weight are linear on the picture, then divided by depth.
@@ -335,7 +363,7 @@ impl Weigher {
             let placing = Placing::new(view, instance.linear, instance.translation);
             let positions = &material.buffers.positions;
             let corners = vertices.map(|v| positions[v as usize].as_dvec3());
-            (vertices, Kind::Clipped { space: Box::new(placing), corners })
+            (vertices, Kind::Clipped(placing.exact.weight_forms(corners)))
         } else {
             let corners = vertices.map(|v| &unit.vertices[v as usize]);
             (corners.map(|c| c.source), Kind::Planar(Planar::new(view, corners)))
@@ -354,9 +382,7 @@ impl Weigher {
     fn at(&self, point: Vec2) -> [f32; 3] {
         match &self.kind {
             Kind::Planar(planar) => planar.at(point),
-            Kind::Clipped { space, corners } => {
-                space.exact.weights(*corners, [f64::from(point.x), f64::from(point.y)])
-            }
+            Kind::Clipped(forms) => forms.at([f64::from(point.x), f64::from(point.y)]),
         }
     }
 
@@ -365,7 +391,7 @@ impl Weigher {
     fn unclamped(&self, point: Vec2) -> [f32; 3] {
         match &self.kind {
             Kind::Planar(planar) => planar.unclamped(point),
-            Kind::Clipped { .. } => self.at(point),
+            Kind::Clipped(_) => self.at(point),
         }
     }
 }

@@ -11,6 +11,7 @@ use crate::raster::colors::{Colors, Known};
 use crate::raster::coverage::Lanes;
 use crate::raster::frame::{EMPTY_ID, Outputs};
 use crate::raster::grid::Grid;
+use crate::raster::over::{HALF_OPACITY, HalfOpacity};
 use crate::raster::plain::Plain;
 use crate::raster::samples::{SUBPIXEL_COUNT, SamplePosition, alpha_threshold};
 use crate::raster::setup::{Shape, Unit, flags};
@@ -24,9 +25,6 @@ pub(crate) const NONE: u32 = u32::MAX;
 
 /// Bits of a reference that count shapes inside a unit: a clipped card gives at most 12.
 const SHAPE_BITS: u32 = 16;
-
-/// Opacity, gathered front to back, at which a blended pixel's depth is taken.
-const HALF_OPACITY: f32 = 0.5;
 
 /// What all tiles of a picture share.
 pub(crate) struct Scene<'a, const S: usize> {
@@ -357,6 +355,13 @@ impl TileBuffer {
         let material = &target.style.material;
         let weigher = target.weigher(scene);
         let write = material.item.depth_write;
+        if scene.layers == [true, false, false]
+            && let Some(over) = material.over(target.shape, &weigher)
+        {
+            let sink = Sink::Over { over: &over, colors: &mut layers[0], write };
+            *fragment_count += target.draw(scene, keys, sink);
+            return;
+        }
         let mut lod = Lod::default();
         let mut visit = |sample: &Sample, keys: &mut [f32]| {
             let lod = lod.at(material, &weigher, sample);
@@ -430,6 +435,15 @@ impl TileBuffer {
                 let target = Target { tile_box, style, shape, unit: unit_index, index };
                 let weigher = target.weigher(scene);
                 let id = material.source_id(unit.origins[index as usize].primitive);
+                if let Some(lookup) = material.lookup(&weigher) {
+                    let half = HalfOpacity { lookup };
+                    target.draw(
+                        scene,
+                        keys,
+                        Sink::HalfOpacity { half: &half, opacities: opacity, ids, id },
+                    );
+                    continue;
+                }
                 let mut lod = Lod::default();
                 let mut visit = |sample: &Sample, keys: &mut [f32]| {
                     let lod = lod.at(material, &weigher, sample);

@@ -2,11 +2,12 @@
 
 use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, mask32x8, u32x8};
-use glam::Vec2;
+use glam::{Vec2, Vec4};
 
 use crate::raster::coverage::{Before, Covered, Lanes, covered};
 use crate::raster::cut_out::CutOut;
 use crate::raster::grid::PixelBox;
+use crate::raster::over::{HalfOpacity, Over};
 use crate::raster::setup::Shape;
 use crate::simd::{Kernel, LANE_COUNT};
 
@@ -33,6 +34,10 @@ pub(crate) enum Sink<'a, 'v> {
     Store { waiting: &'a mut [u32], reference: u32, write: bool },
     /// As `Store`, where a texture's alpha passes a test.
     Test { cut_out: &'v CutOut<'v>, waiting: &'a mut [u32], reference: u32, write: bool },
+    /// A texture is painted over their colours; they take the shape's key where it shows, if `write`.
+    Over { over: &'v Over<'v>, colors: &'a mut [Vec4], write: bool },
+    /// Where opacity reaches a half they take the shape's key, and its id, if ids are wanted.
+    HalfOpacity { half: &'v HalfOpacity<'v>, opacities: &'a mut [f32], ids: &'a mut [u32], id: u32 },
     /// Each is visited; what visitors do takes far longer than the call.
     Visit(&'v mut dyn FnMut(&Sample, &mut [f32])),
 }
@@ -114,6 +119,26 @@ impl Visible<'_, '_> {
                         let old = u32x8::from_slice(simd, waiting);
                         let reference = u32x8::splat(simd, *reference);
                         front.select(reference, old).store_slice(waiting);
+                    }
+                    Sink::Over { over, colors, write } => {
+                        let colors = &mut colors[at..at.wrapping_add(LANE_COUNT)];
+                        let painted = over.paint(simd, lanes, &hit, front, colors);
+                        if *write {
+                            mask32x8::from_bitmask(simd, painted)
+                                .select(key, old)
+                                .store_slice(stored);
+                        }
+                    }
+                    Sink::HalfOpacity { half, opacities, ids, id } => {
+                        let opacities = &mut opacities[at..at.wrapping_add(LANE_COUNT)];
+                        let reached = half.reached(simd, lanes, &hit, front, opacities);
+                        // what lies behind cannot be nearer, so the key doubles as the answer
+                        mask32x8::from_bitmask(simd, reached).select(key, old).store_slice(stored);
+                        for lane in bits(reached) {
+                            if let Some(stored) = ids.get_mut(at.wrapping_add(lane)) {
+                                *stored = *id;
+                            }
+                        }
                     }
                     Sink::Visit(visit) => {
                         let shape_keys: [f32; LANE_COUNT] = key.into();

@@ -229,7 +229,7 @@ impl<'a> Baker<'a> {
             Part { corner, size, texels: Some([x, y, width, height]) }
         };
         let parts = (0..tiles.len()).map(part).collect();
-        let texture = bake::stored(levels, self.params.format, self.job)?.bounded();
+        let texture = bake::stored(levels, self.params.format, self.job)?;
         Ok((Picture::Direct(texture), parts, atlas.fill()))
     }
 
