@@ -72,7 +72,7 @@ class Walk:
         each frame's median over the laps), ``frame_millis_low`` and ``frame_millis_high`` (the
         quickest and the slowest frame), ``emit_millis`` and ``draw_millis`` (medians alike);
         ``frame_millis_mean`` and ``frame_millis_worst``, the mean and `worst_case_millis` over the
-        same frames (NaN where a lap has less than 10 drawn windows of 20 frames); ``frames``, how many
+        same frames (NaN where less than 10 windows of 20 frames are drawn); ``frames``, how many
         frames of a lap were drawn.
     settings : dict
         What the walk was asked for.

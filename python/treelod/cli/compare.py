@@ -18,6 +18,8 @@ from treelod.cameras import (
 from treelod.cli.app import app
 from treelod.cli.options import (
     LeafCount,
+    PlantName,
+    ReportFolder,
     Seed,
     Threads,
     Verbose,
@@ -28,7 +30,6 @@ from treelod.cli.options import (
 )
 from treelod.cli.subjects import subject_of
 from treelod.cli.summaries import print_summary
-from treelod.plants import PRESETS
 from treelod.techniques import REGISTRY, FullMesh
 from treelod.terminal import Stages, reported
 
@@ -47,16 +48,8 @@ SMALL_DEMO = {"leaf_clusters": "leaf_clusters:resolution=128"}
 @app.command()
 def compare(
     *,
-    plant: Annotated[
-        str,
-        typer.Argument(
-            metavar="PLANT",
-            help=f"A GLB, glTF, OBJ or PLY file, or a plant to grow: {', '.join(PRESETS)}.",
-        ),
-    ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for the report; made if missing.")
-    ],
+    plant: PlantName,
+    output: ReportFolder,
     technique: Annotated[
         list[str] | None,
         typer.Option(

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from treelod.plants import PRESETS
 from treelod.techniques import REGISTRY, FullMesh
 
 __all__ = [
     "LeafCount",
+    "PlantName",
+    "ReportFolder",
     "Seed",
     "Threads",
     "Verbose",
@@ -26,6 +30,16 @@ __all__ = [
 _NO_SETTINGS = {"progress", "threads", "views"}
 """What a build takes besides a technique's own parameters: options of the command, or objects."""
 
+PlantName = Annotated[
+    str,
+    typer.Argument(
+        metavar="PLANT",
+        help=f"A GLB, glTF, OBJ or PLY file, or a plant to grow: {', '.join(PRESETS)}.",
+    ),
+]
+ReportFolder = Annotated[
+    Path, typer.Option("--output", "-o", help="Folder for the report; made if missing.")
+]
 Verbose = Annotated[
     bool, typer.Option("--verbose", "-v", help="Log what happens; show tracebacks of errors.")
 ]

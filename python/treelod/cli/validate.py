@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from treelod.cli.app import app
-from treelod.cli.options import Verbose
+from treelod.cli.options import PlantName, ReportFolder, Verbose
 from treelod.cli.subjects import subject_of
-from treelod.plants import PRESETS
 from treelod.terminal import Stages, reported
 
 
 @app.command()
 def validate(
     *,
-    plant: Annotated[
-        str,
-        typer.Argument(
-            metavar="PLANT",
-            help=f"A GLB, glTF, OBJ or PLY file, or a plant to grow: {', '.join(PRESETS)}.",
-        ),
-    ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for the report; made if missing.")
-    ],
+    plant: PlantName,
+    output: ReportFolder,
     full: Annotated[
         bool, typer.Option("--full", help="Everything at full size: minutes, not seconds.")
     ] = False,

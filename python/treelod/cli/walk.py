@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -15,6 +14,8 @@ from rich.text import Text
 from treelod.cli.app import app
 from treelod.cli.options import (
     LeafCount,
+    PlantName,
+    ReportFolder,
     Seed,
     Threads,
     Verbose,
@@ -24,7 +25,6 @@ from treelod.cli.options import (
     technique_of,
 )
 from treelod.cli.subjects import subject_of
-from treelod.plants import PRESETS
 from treelod.techniques import REGISTRY, FullMesh
 from treelod.terminal import Stages, reported
 
@@ -39,16 +39,8 @@ class WalkPath(StrEnum):
 @app.command()
 def walk(
     *,
-    plant: Annotated[
-        str,
-        typer.Argument(
-            metavar="PLANT",
-            help=f"A GLB, glTF, OBJ or PLY file, or a plant to grow: {', '.join(PRESETS)}.",
-        ),
-    ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for the report; made if missing.")
-    ],
+    plant: PlantName,
+    output: ReportFolder,
     technique: Annotated[
         list[str] | None,
         typer.Option(
