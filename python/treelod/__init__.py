@@ -38,6 +38,7 @@ from treelod.techniques import (
     Slicings,
     StochasticPruning,
 )
+from treelod.variety import Variety
 from treelod.wind import Wind
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ __all__ = [
     "SweepResults",
     "SweepWarning",
     "TreelodError",
+    "Variety",
     "ViewState",
     "Wind",
     "__version__",

@@ -41,6 +41,7 @@ __all__ = [
     "stochastic_pruning",
     "stored_hierarchy",
     "time_naive",
+    "variant",
     "vector_peak",
 ]
 
@@ -176,6 +177,14 @@ class _CameraFacts(TypedDict):
     near: float
     time_secs: float
 
+class _VarietyFacts(TypedDict):
+    size: float
+    hue_deg: float
+    value: float
+    mirror: bool
+    color: tuple[float, float, float]
+    seed: int
+
 class _WindFacts(TypedDict):
     lean: float
     sway: float
@@ -199,6 +208,7 @@ class Scene:
         groups: Sequence[tuple[Representation, NDArray[np.float64]]],
         *,
         wind: _WindFacts | None = None,
+        variety: _VarietyFacts | None = None,
     ) -> Scene: ...
     @property
     def instance_count(self) -> int: ...
@@ -226,6 +236,7 @@ class Renderer:
 
 def peak_rate() -> float: ...
 def time_naive(scene: Scene, camera: _CameraFacts, *, samples: int) -> float: ...
+def variant(variety: _VarietyFacts, group: int, copy: int) -> tuple[float, bool, list[float]]: ...
 def full_mesh(
     plant: Plant, *, wood: bool, wood_triangle_count: int | None, filter: str
 ) -> Representation: ...

@@ -34,6 +34,7 @@ MODULES = (
     "scenes.py",
     "sweeps/worker.py",
     "techniques/*.py",
+    "variety.py",
     "wind.py",
 )
 """Python files that take part in a row of results, relative to the package."""

@@ -52,6 +52,10 @@ class Stats:
         Drawing it, in milliseconds.
     triangles, cards, lines, points : int
         Primitives submitted, copies counted.
+    items : int
+        Calls that a renderer would need which draws primitives of one look at a time.
+    textures : int
+        Textures that they read.
     vertices : int
         Vertices transformed, over all sets of samples.
     fragments : int
@@ -72,6 +76,8 @@ class Stats:
     cards: int
     lines: int
     points: int
+    items: int
+    textures: int
     vertices: int
     fragments: int
     samples: int

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from treelod import _core
+from treelod.variety import variety_facts
 from treelod.wind import wind_facts
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from treelod.techniques.technique import Technique
+    from treelod.variety import Variety
     from treelod.wind import Wind
 
 __all__ = ["Scene", "scatter"]
@@ -41,6 +43,8 @@ class Scene:
     wind : Wind, optional
         What moves the copies as time passes from camera to camera: see `Wind` and `Camera.at`.
         Default: none.
+    variety : Variety, optional
+        How copies differ in size, side and colour: see `Variety`. Default: not at all.
 
     Raises
     ------
@@ -48,7 +52,7 @@ class Scene:
         If transforms have another shape, are not finite, hold a number above 1e18 or flatten the
         plant.
     TypeError
-        If something else than a technique is placed, or something else than a `Wind` blows.
+        If something else than a technique is placed, or `wind` or `variety` is something else.
     LimitError
         If there are more than 2**28 copies.
 
@@ -64,7 +68,11 @@ class Scene:
     """
 
     def __init__(
-        self, groups: Sequence[tuple[Technique, ArrayLike | None]], *, wind: Wind | None = None
+        self,
+        groups: Sequence[tuple[Technique, ArrayLike | None]],
+        *,
+        wind: Wind | None = None,
+        variety: Variety | None = None,
     ) -> None:
         pairs = []
         for technique, transforms in groups:
@@ -78,7 +86,11 @@ class Scene:
                 msg = f"transforms must have shape (N, 4, 4), got {matrices.shape}"
                 raise ValueError(msg)
             pairs.append((technique._core, np.ascontiguousarray(matrices)))
-        self._core = _core.Scene(pairs, wind=wind_facts(wind))
+        self._core = _core.Scene(
+            pairs,
+            wind=wind_facts(wind),
+            variety=variety_facts(variety),
+        )
 
     @property
     def instance_count(self) -> int:

@@ -21,9 +21,9 @@ class Wind:
 
     A plant in the wind is sheared: its foot stays, and a point `h` metres above it moves
     ``h * (lean + sway * sin(2 * pi * (time_secs / period_secs + phase)))`` metres sideways, level
-    with the ground [1]_. The foot is the middle of the lower side of the box around the technique.
-    The time is that of the camera: see `Camera.at`. Each copy has a phase of its own, drawn from
-    `seed` and the copy's place in its scene.
+    with the ground [1]_. The foot is the middle of the lower side of the box around wood and
+    leaves. The time is that of the camera: see `Camera.at`. Each copy has a phase of its own, drawn
+    from `seed` and the copy's place in its scene.
 
     Attributes
     ----------

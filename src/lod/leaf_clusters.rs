@@ -50,8 +50,8 @@ use crate::lod::leaf_clusters::plane::{Eigen, Plane};
 use crate::lod::leaves::Leaves;
 use crate::lod::solid::Solid;
 use crate::lod::wood::Wood;
-use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation};
-use crate::plant::Plant;
+use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation, foot_of};
+use crate::plant::{Mesh, Plant};
 use crate::raster::samples;
 use crate::texture::texture::check_size;
 use crate::texture::{Filter, Format};
@@ -161,6 +161,7 @@ struct Built {
     center: DVec3,
     radius: f64,
     bounds: (DVec3, DVec3),
+    foot: DVec3,
     origin: DVec3,
     drawing: Drawing,
     transition: Transition,
@@ -240,8 +241,9 @@ impl LeafClusters {
             Filter::Bilinear,
             job,
         )?;
-        let boxes = [&plant.foliage.mesh, &wood].into_iter().filter_map(|mesh| mesh.bounds());
-        let corners = boxes.flat_map(|(low, high)| [low.as_dvec3(), high.as_dvec3()]);
+        let boxes = || [&plant.foliage.mesh, &wood].into_iter().filter_map(Mesh::bounds);
+        let foot = foot_of(boxes());
+        let corners = boxes().flat_map(|(low, high)| [low.as_dvec3(), high.as_dvec3()]);
         let card_corners = drawn.iter().flat_map(|drawn| drawn.cards.corners());
         let bounds = corners
             .chain(card_corners)
@@ -255,6 +257,7 @@ impl LeafClusters {
             center: leaves.center,
             radius: leaves.radius,
             bounds,
+            foot,
             origin: plant.origin,
             drawing: params.drawing,
             transition: params.transition,
@@ -391,6 +394,10 @@ fn check_rule(rule: &LevelRule, level_count: usize) -> Result<(), LodError> {
 impl Representation for LeafClusters {
     fn bounds(&self) -> (DVec3, DVec3) {
         self.built.bounds
+    }
+
+    fn foot(&self) -> DVec3 {
+        self.built.foot
     }
 
     fn origin(&self) -> DVec3 {

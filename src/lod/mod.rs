@@ -104,6 +104,14 @@ impl Crown {
     }
 }
 
+/// The middle of the lower side of the box around some boxes.
+pub(crate) fn foot_of(boxes: impl Iterator<Item = (Vec3, Vec3)>) -> DVec3 {
+    let around = boxes.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+    let (low, high) = around.expect("a representation has something to draw");
+    let (low, high) = (low.as_dvec3(), high.as_dvec3());
+    DVec3::new((low.x + high.x) * 0.5, low.y, (low.z + high.z) * 0.5)
+}
+
 /// An upper bound on how much a transform stretches any length; exact for turns, mirrors and sizes.
 pub(crate) fn largest_scale(placement: &DAffine3) -> f64 {
     let m = placement.matrix3;
@@ -145,7 +153,8 @@ pub trait Representation: Debug + Send + Sync {
         0.0
     }
 
-    /// What stays in the wind: the middle of the lower side of the box.
+    /// What stays in the wind: the middle of the lower side of the box around wood and leaves, which
+    /// cards may reach beyond.
     fn foot(&self) -> DVec3 {
         let (low, high) = self.bounds();
         DVec3::new((low.x + high.x) * 0.5, low.y, (low.z + high.z) * 0.5)

@@ -29,7 +29,7 @@ use crate::lod::leaves::Leaves;
 use crate::lod::solid::Solid;
 use crate::lod::view_blend::ViewBlend;
 use crate::lod::wood::Wood;
-use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation};
+use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation, foot_of};
 use crate::plant::{Mesh, Plant};
 use crate::raster::{Renderer, samples};
 use crate::texture::mips::Keep;
@@ -123,6 +123,7 @@ pub struct Slicings {
     center: DVec3,
     radius: f64,
     bounds: (DVec3, DVec3),
+    foot: DVec3,
     origin: DVec3,
 }
 
@@ -246,9 +247,12 @@ impl Slicings {
         let tau = alpha.tau();
         let (large, large_ids) = leaves_mesh(&leaves, &in_mesh);
         let meshes = [(&wood, Buffers::ids_from(0, &wood)), (&large, large_ids)];
-        let of_mesh = |mesh: &Mesh| mesh.bounds().map(|(low, high)| [low, high]);
-        let boxes = [&plant.foliage.mesh, &wood].into_iter().filter_map(of_mesh).flatten();
-        let corners = boxes.chain(cards.positions.iter().copied()).map(|p| p.as_dvec3());
+        let boxes = || [&plant.foliage.mesh, &wood].into_iter().filter_map(Mesh::bounds);
+        let foot = foot_of(boxes());
+        let corners = boxes()
+            .flat_map(|(low, high)| [low, high])
+            .chain(cards.positions.iter().copied())
+            .map(|p| p.as_dvec3());
         let bounds = corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), corner| {
             (low.min(corner), high.max(corner))
         });
@@ -261,6 +265,7 @@ impl Slicings {
             center: leaves.center,
             radius: leaves.radius,
             bounds,
+            foot,
             origin: plant.origin,
         };
         let fitted = built.correct(params.correction, tau, job)?;
@@ -469,6 +474,10 @@ fn needed_resolutions(
 impl Representation for Slicings {
     fn bounds(&self) -> (DVec3, DVec3) {
         self.bounds
+    }
+
+    fn foot(&self) -> DVec3 {
+        self.foot
     }
 
     fn origin(&self) -> DVec3 {

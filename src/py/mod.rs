@@ -20,6 +20,7 @@ mod run;
 mod simplified_mesh;
 mod stochastic_pruning;
 mod structure;
+mod variety;
 mod view;
 mod wind;
 
@@ -114,6 +115,8 @@ mod _core {
     use super::simplified_mesh::simplified_mesh;
     #[pymodule_export]
     use super::stochastic_pruning::{StochasticPruning, stochastic_pruning};
+    #[pymodule_export]
+    use super::variety::variant;
 
     /// As in `Cargo.toml`, the one place that states it.
     #[pymodule_export]

@@ -11,6 +11,7 @@ use pyo3::types::PyDict;
 
 use super::lod::Representation;
 use super::run::run;
+use super::variety::VarietyFacts;
 use super::view::CameraFacts;
 use super::wind::WindFacts;
 use crate::error::LodError;
@@ -29,15 +30,18 @@ pub(super) struct Scene {
 
 #[pymethods]
 impl Scene {
-    /// Pairs of a representation and an (N, 4, 4) array of transforms; the wind that blows there.
+    /// Pairs of a representation and an (N, 4, 4) array of transforms; the wind that blows there, and how
+    /// copies differ.
     #[new]
-    #[pyo3(signature = (groups, *, wind = None))]
+    #[pyo3(signature = (groups, *, wind = None, variety = None))]
     fn new(
         py: Python<'_>,
         groups: Vec<(PyRef<'_, Representation>, PyReadonlyArray3<'_, f64>)>,
         wind: Option<WindFacts>,
+        variety: Option<VarietyFacts>,
     ) -> PyResult<Self> {
         let wind = wind.map(|facts| facts.wind()).transpose()?;
+        let variety = variety.map(|facts| facts.variety()).transpose()?;
         let mut parts = Vec::new();
         for (representation, transforms) in &groups {
             parts.push((Arc::clone(&representation.inner), affine_rows(transforms)?));
@@ -48,10 +52,13 @@ impl Scene {
             for (representation, transforms) in parts {
                 scene.add(representation, &transforms)?;
             }
-            match wind {
-                Some(wind) => scene.in_wind(wind),
-                None => Ok(scene),
+            if let Some(wind) = wind {
+                scene = scene.in_wind(wind)?;
             }
+            if let Some(variety) = variety {
+                scene = scene.varied(variety)?;
+            }
+            Ok(scene)
         })?;
         Ok(Self { inner: Arc::new(inner) })
     }
@@ -315,6 +322,8 @@ fn stats_facts<'py>(py: Python<'py>, stats: &Stats) -> PyResult<Bound<'py, PyDic
     facts.set_item("lines", stats.line_count)?;
     facts.set_item("points", stats.point_count)?;
     facts.set_item("vertices", stats.vertex_count)?;
+    facts.set_item("items", stats.item_count)?;
+    facts.set_item("textures", stats.texture_count)?;
     if let Some(count) = stats.fragment_count {
         facts.set_item("fragments", count)?;
     }

@@ -52,6 +52,10 @@ pub struct Stats {
     pub line_count: u64,
     /// Points submitted.
     pub point_count: u64,
+    /// Items in the list: calls of a renderer that draws one at a time.
+    pub item_count: u64,
+    /// Textures in the list.
+    pub texture_count: u64,
     /// Vertices transformed.
     pub vertex_count: u64,
     /// (primitive, pixel) pairs of which a sample is covered, hidden ones included, summed over the
@@ -64,6 +68,8 @@ pub struct Stats {
 impl Stats {
     /// Counts what a list submits.
     pub(crate) fn count(&mut self, list: &DrawList) {
+        self.item_count += list.items.len() as u64;
+        self.texture_count += list.textures.len() as u64;
         for item in &list.items {
             let count = item.primitives.len() as u64 * item.instances.len() as u64;
             match item.primitive {

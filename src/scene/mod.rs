@@ -1,16 +1,19 @@
 //! Placed plants: what a view can see of them, in the order it must be painted.
 
+pub mod variety;
+
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DVec3, Vec3};
 
 use crate::draw_list::DrawList;
 use crate::error::{LodError, check_limit};
 use crate::lod::wind::{Gust, Wind};
 use crate::lod::{Crown, ListBuilder, Representation, largest_scale};
 use crate::raster::Outputs;
+use crate::scene::variety::Variety;
 use crate::view::{MAX_COORDINATE, View};
-use crate::view_state::ViewState;
+use crate::view_state::{Key, ViewState};
 
 /// Instances that one scene may hold.
 pub const MAX_INSTANCE_COUNT: u64 = 1 << 28;
@@ -41,6 +44,7 @@ struct Group {
 pub struct Scene {
     groups: Vec<Group>,
     wind: Option<Wind>,
+    variety: Option<Variety>,
 }
 
 impl Scene {
@@ -91,6 +95,24 @@ impl Scene {
         Ok(Self { wind: Some(wind), ..self })
     }
 
+    /// The same scene with copies that differ from one another.
+    ///
+    /// # Errors
+    /// As [`Variety::check`].
+    pub fn varied(self, variety: Variety) -> Result<Self, LodError> {
+        variety.check()?;
+        Ok(Self { variety: Some(variety), ..self })
+    }
+
+    /// Where a copy stands, with its own size and side, and the tint of its colours.
+    fn copy(&self, group: &Group, foot: DVec3, key: Key) -> (DAffine3, Vec3) {
+        let placement = group.placements[key.1 as usize];
+        self.variety.map_or((placement, Vec3::ONE), |variety| {
+            let variant = variety.of(key);
+            (placement * variant.placed(foot), variety.tint(&variant))
+        })
+    }
+
     /// Copies of all representations.
     pub fn instance_count(&self) -> u64 {
         self.groups.iter().map(|group| group.placements.len() as u64).sum()
@@ -98,14 +120,18 @@ impl Scene {
 
     /// World box around every copy, wherever the wind may move it, or `None` without any.
     pub fn bounds(&self) -> Option<(DVec3, DVec3)> {
-        let boxes = self.groups.iter().flat_map(|group| {
+        let boxes = (0..).zip(&self.groups).flat_map(|(number, group)| {
             let (mut low, mut high) = group.representation.bounds();
+            let foot = group.representation.foot();
             if let Some(wind) = self.wind {
-                let sideways = wind.reach() * (high.y - group.representation.foot().y);
+                let sideways = wind.reach() * (high.y - foot.y);
                 low -= DVec3::new(sideways, 0.0, sideways);
                 high += DVec3::new(sideways, 0.0, sideways);
             }
-            group.placements.iter().map(move |placement| world_box(placement, low, high))
+            let copies = (0..).zip(&group.placements);
+            copies.map(move |(index, _)| {
+                world_box(&self.copy(group, foot, (number, index)).0, low, high)
+            })
         });
         boxes.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
@@ -126,13 +152,14 @@ impl Scene {
             let (center, radius) = ((low + high) * 0.5, (high - low).length() * 0.5);
             let margin_px = group.representation.margin_px();
             let (foot, sways) = (group.representation.foot(), group.representation.sways());
-            for (index, placement) in group.placements.iter().enumerate() {
+            for index in 0..group.placements.len() {
                 let key = (
                     u32::try_from(number).expect("few representations"),
                     u32::try_from(index).expect("checked when added"),
                 );
                 let wind = self.wind.map(|wind| Gust { wind, time_secs: view.time_secs, key });
-                let (mut placement, mut radius) = (*placement, radius);
+                let (mut placement, tint) = self.copy(group, foot, key);
+                let mut radius = radius;
                 match wind {
                     Some(gust) if sways => radius += gust.wind.reach() * (high.y - foot.y),
                     Some(gust) => placement = placement * gust.shear(view, &placement, foot),
@@ -151,7 +178,8 @@ impl Scene {
                     world_center.distance(view.eye)
                 };
                 let wind = wind.filter(|_| sways);
-                visible.push((number, Crown { distance, key, wind, ..Crown::alone(placement) }));
+                visible
+                    .push((number, Crown { distance, key, tint, wind, ..Crown::alone(placement) }));
             }
         }
         // far to near; equal distances by representation and copy
@@ -359,11 +387,47 @@ mod tests {
         let (foot, top) = (DVec3::new(0.5, -1.0, 0.5), DVec3::new(0.5, 1.0, 0.5));
         assert!(shown(foot).abs_diff_eq(still(foot), 1e-6), "what stands on the ground stays");
         let moved = shown(top) - still(top);
-        assert!(moved.abs_diff_eq(glam::Vec3::X * 0.5, 1e-6), "2 m times 0.25: {moved}");
+        assert!(moved.abs_diff_eq(Vec3::X * 0.5, 1e-6), "2 m times 0.25: {moved}");
         let (low, high) = scene.bounds().expect("one copy");
         let calm = Scene { wind: None, ..scene }.bounds().expect("one copy");
         assert!(high.y == calm.1.y && low.y == calm.0.y, "as high as before");
         assert!(high.x > calm.1.x + 0.5 && low.x < calm.0.x - 0.5, "wider: 2 m times 0.25");
+    }
+
+    #[test]
+    fn copies_differ_as_their_variety_says() {
+        let mut scene = Scene::default();
+        let origin = DVec3::new(0.0, 100.0, 0.0);
+        let transforms = [at(0.0, -100.0, 0.0), at(1.0, -100.0, 0.0)];
+        scene.add(probe(origin), &transforms).expect("valid");
+        let color = DVec3::new(0.1, 0.2, 0.05);
+        let (size, hue_deg, value) = (0.15, 20.0, 0.1);
+        let variety = Variety { size, hue_deg, value, mirror: true, color, seed: 5 };
+        let scene = scene.varied(variety).expect("mild");
+        let plan = scene.plan(&perspective(), Outputs::COLOR, &mut ViewState::default());
+        let list = plan.expect("valid").remove(0).list;
+        let bounds = scene.bounds().expect("two copies");
+        let mut expected = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for item in &list.items {
+            let instance = list.instances[item.instances.start as usize];
+            // the probe's foot is at (0, -1, 0) of its own
+            let foot = instance.linear * -Vec3::Y + instance.translation;
+            let index = u32::from(foot.x > 0.5);
+            let variant = variety.of((0, index));
+            let place = Vec3::new(index as f32, -1.0, -10.0);
+            assert!(foot.abs_diff_eq(place, 1e-5), "copy {index} stands where it was put: {foot}");
+            let side = if variant.is_mirrored { -1.0 } else { 1.0 };
+            let axes = DVec3::new(side, 1.0, 1.0) * variant.scale;
+            let linear = glam::Mat3::from_diagonal(axes.as_vec3());
+            assert!(instance.linear.abs_diff_eq(linear, 1e-6), "copy {index}: {variant:?}");
+            assert_eq!(instance.tint, variety.tint(&variant).extend(1.0), "copy {index}");
+            let middle = DVec3::new(f64::from(index), variant.scale - 1.0, 0.0);
+            expected.0 = expected.0.min(middle - variant.scale);
+            expected.1 = expected.1.max(middle + variant.scale);
+        }
+        assert_eq!(list.items.len(), 2, "both are seen");
+        assert!(bounds.0.abs_diff_eq(expected.0, 1e-12), "{bounds:?} {expected:?}");
+        assert!(bounds.1.abs_diff_eq(expected.1, 1e-12), "{bounds:?} {expected:?}");
     }
 
     #[test]
