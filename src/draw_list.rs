@@ -214,6 +214,18 @@ impl Instance {
             params: [0.0; 8],
         }
     }
+
+    /// The only copy of what is relative to the eye already.
+    pub fn at_eye() -> Self {
+        Self {
+            linear: Mat3::IDENTITY,
+            translation: Vec3::ZERO,
+            tint: Vec4::ONE,
+            fade: 1.0,
+            seed: 0,
+            params: [0.0; 8],
+        }
+    }
 }
 
 /// Primitives of one kind and state, drawn for each of some instances.

@@ -31,6 +31,7 @@ HEADER = "| parameter | unit | range | default | effect |"
 UNITS = {
     "-": "",
     "px": r"[Pp]ixels",
+    "degrees": r"[Dd]egrees",
     "m": r"[Mm]etres",
     "m²": r"square metres",
     "R": r"crown radii",

@@ -72,6 +72,7 @@ LONG_CALLS = {
         "tl.render(scene, camera, samples=16)",
     ),
     "bake": ("", "tl.Slicings.build(plant, slicing_count=64, resolution=1024, samples=256)"),
+    "take pictures": ("", "tl.Billboard.build(plant, view_count=512, samples=256)"),
     "bake cards": (
         "",
         "tl.LeafClusters.build(plant, cluster_count=(128, 64), resolution=256, samples=256)",

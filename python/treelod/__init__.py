@@ -30,6 +30,7 @@ from treelod.plants import Foliage, Lighting, Material, Mesh, Plant, grow_plant,
 from treelod.render import Frame, ViewState, render, time_frames
 from treelod.scenes import Scene, scatter
 from treelod.techniques import (
+    Billboard,
     FoliageHierarchy,
     FullMesh,
     LeafClusters,
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from treelod.sweeps import SweepResults, crossed, load_results, sweep, zipped
 
 __all__ = [
+    "Billboard",
     "Camera",
     "DeviceError",
     "Foliage",

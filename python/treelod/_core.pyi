@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "Billboard",
     "FoliageHierarchy",
     "LeafClusters",
     "Plant",
@@ -17,6 +18,7 @@ __all__ = [
     "_cut_for_test",
     "_panic_for_test",
     "_spin_for_test",
+    "billboards",
     "build_profile",
     "circle_directions",
     "cloud",
@@ -237,6 +239,37 @@ class Renderer:
 def peak_rate() -> float: ...
 def time_naive(scene: Scene, camera: _CameraFacts, *, samples: int) -> float: ...
 def variant(variety: _VarietyFacts, group: int, copy: int) -> tuple[float, bool, list[float]]: ...
+
+class _BillboardFacts(TypedDict):
+    align: str
+    axis: str
+    max_turn_deg: float
+    view_count: int
+    elevations_deg: Sequence[float]
+    view_blend: str
+    resolution: tuple[int, int]
+    samples: int
+    drawing: str
+    format: str
+    views: list[_CameraFacts] | None
+    wood: bool
+    wood_triangle_count: int | None
+    wood_as: str
+
+@final
+class Billboard:
+    def representation(self) -> Representation: ...
+    @property
+    def pictures(self) -> list[tuple[int, list[list[float]], list[int]]]: ...
+    def quads(self, camera: _CameraFacts) -> list[tuple[int, float, list[list[float]]]]: ...
+
+def billboards(
+    plants: Sequence[Plant],
+    facts: _BillboardFacts,
+    *,
+    threads: int | None,
+    progress: Callable[[int, int], object] | None,
+) -> list[Billboard]: ...
 def full_mesh(
     plant: Plant, *, wood: bool, wood_triangle_count: int | None, filter: str
 ) -> Representation: ...

@@ -2,6 +2,7 @@
 //!
 //! No technique knows another, and nothing outside this folder knows any.
 
+pub mod billboard;
 pub mod cloud;
 pub mod eigen;
 pub mod foliage_hierarchy;
@@ -23,12 +24,13 @@ pub mod wood;
 pub mod wood_levels;
 
 use std::fmt::Debug;
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Vec3};
 
 use crate::bake::BakeRect;
-use crate::draw_list::{DrawList, Instance, Item};
+use crate::draw_list::{DrawList, Instance, Item, OwnBuffers, Primitive, Source};
 use crate::error::LodError;
 use crate::lod::wind::Gust;
 use crate::texture::Texture;
@@ -98,6 +100,14 @@ impl Crown {
         self.world_from_local.inverse().transform_point3(view.eye)
     }
 
+    /// The same copy as the wind leans it, for a mesh that is sheared as a whole.
+    #[must_use]
+    pub fn leaning(&self, view: &View, foot: DVec3) -> Self {
+        let placed = self.world_from_local;
+        let shear = |gust: Gust| placed * gust.shear(view, &placed, foot);
+        Self { world_from_local: self.wind.map_or(placed, shear), ..self.clone() }
+    }
+
     /// A world direction in local coordinates, unit length.
     pub fn local_direction(&self, direction: DVec3) -> DVec3 {
         self.world_from_local.inverse().transform_vector3(direction).normalize()
@@ -127,6 +137,7 @@ pub struct ListBuilder {
     /// What has been emitted; add opaque items to `list.items`.
     pub list: DrawList,
     blended: Vec<(u32, Item)>,
+    at_eye: Option<Range<u32>>,
 }
 
 impl ListBuilder {
@@ -135,12 +146,58 @@ impl ListBuilder {
         self.blended.push((crown.rank, item));
     }
 
+    /// The instance of what is written into the frame's own buffers relative to the eye. Items that are
+    /// alike but for their primitives and follow one another become one, whichever copy or
+    /// representation they are of.
+    pub fn at_eye(&mut self) -> Range<u32> {
+        let list = &mut self.list;
+        self.at_eye.get_or_insert_with(|| list.instance(Instance::at_eye())).clone()
+    }
+
     /// Opaque items first, then the blended ones, copy by copy.
     pub fn finish(mut self) -> DrawList {
         self.blended.sort_by_key(|(rank, _)| *rank);
-        self.list.items.extend(self.blended.into_iter().map(|(_, item)| item));
+        let opaque = std::mem::take(&mut self.list.items);
+        for item in opaque.into_iter().chain(self.blended.into_iter().map(|(_, item)| item)) {
+            let last = self.list.items.last_mut();
+            let is_free = self.at_eye.as_ref() == Some(&item.instances);
+            match last.filter(|last| is_free && is_alike(last, &item)) {
+                Some(last) => join(&mut self.list.own, last, &item),
+                None => self.list.items.push(item),
+            }
+        }
         self.list
     }
+}
+
+/// Whether two items of triangles in a frame's own buffers differ in their primitives alone.
+fn is_alike(a: &Item, b: &Item) -> bool {
+    let is_own = a.indices == Source::Own && a.primitive == Primitive::Triangles;
+    is_own && *a == Item { primitives: a.primitives.clone(), ..b.clone() }
+}
+
+/// Draws an item's triangles after those of the item before it, which is alike.
+fn join(own: &mut OwnBuffers, last: &mut Item, item: &Item) {
+    if last.primitives.end == item.primitives.start {
+        last.primitives.end = item.primitives.end;
+        return;
+    }
+    let is_last = last.primitives.end as usize * 3 == own.buffers.indices.len();
+    let mut append = |primitives: &Range<u32>| {
+        let (start, end) = (primitives.start as usize, primitives.end as usize);
+        let buffers = &mut own.buffers;
+        let first = buffers.indices.len();
+        buffers.indices.extend_from_within(start * 3..end * 3);
+        buffers.source_ids.extend_from_within(start..end);
+        let range =
+            [first, buffers.indices.len()].map(|at| u32::try_from(at).expect("fits in u32"));
+        own.dirty_indices.push(range[0]..range[1]);
+        range[0] / 3..range[1] / 3
+    };
+    if !is_last {
+        last.primitives = append(&last.primitives);
+    }
+    last.primitives.end = append(&item.primitives).end;
 }
 
 /// A plant as one technique stands for it.

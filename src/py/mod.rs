@@ -5,6 +5,7 @@
 //! `python/treelod/errors.py`, by the one conversion below.
 
 mod arrays;
+mod billboard;
 mod clusters;
 mod collapse;
 mod criteria;
@@ -87,6 +88,8 @@ mod _core {
         Ok(())
     }
 
+    #[pymodule_export]
+    use super::billboard::{Billboard, billboards};
     #[pymodule_export]
     use super::clusters::{cluster_leaves, plane_misses, vector_peak};
     #[pymodule_export]

@@ -76,6 +76,20 @@ pub fn drop_levels_without_coverage(levels: &mut Vec<Image>, cutoff: f32) {
     levels.truncate(kept);
 }
 
+/// A picture with alpha scaled so that the share of it at or above the cutoff is its mean alpha: that is
+/// the area that it covers, which a test then shows.
+///
+/// # Errors
+/// Whatever `check` returns.
+pub fn with_mean_as_coverage(
+    image: &LinearImage,
+    cutoff: f32,
+    check: &Check<'_>,
+) -> Result<LinearImage, LodError> {
+    let sum: f64 = image.texels.iter().map(|texel| f64::from(texel.w)).sum();
+    with_coverage(image, cutoff, sum / image.texels.len() as f64, check)
+}
+
 /// The alphas of a level, row by row.
 struct Alphas {
     values: Vec<f32>,
@@ -245,6 +259,27 @@ mod tests {
             drop_levels_without_coverage(&mut all, 0.5);
             assert_eq!(all.len(), 3, "full and empty cards keep theirs");
         }
+    }
+
+    #[test]
+    fn a_picture_covers_its_mean_alpha() {
+        // sparse: all below the cutoff, so that a test would show nothing
+        let thin: Vec<u8> = (0..64 * 64_u32).map(|i| if i % 5 == 0 { 100 } else { 30 }).collect();
+        for image in [noise(), alphas(64, &thin)] {
+            let linear = LinearImage::decoded(&image);
+            let mean = linear.texels.iter().map(|texel| f64::from(texel.w)).sum::<f64>() / 4096.0;
+            let covering = with_mean_as_coverage(&linear, 0.5, &|| Ok(())).expect("goes on");
+            let found = Alphas::of(&covering).coverage(1.0, 0.5);
+            assert!((found - mean).abs() < 0.02, "{found} for {mean}");
+            let before = Alphas::of(&linear).coverage(1.0, 0.5);
+            assert!((before - mean).abs() > 0.05, "it was off: {before} for {mean}");
+            for (a, b) in linear.texels.iter().zip(&covering.texels) {
+                assert!((*a * b.w).abs_diff_eq(*b * a.w, 1e-6), "colours stay: {a} {b}");
+            }
+        }
+        let full = LinearImage::decoded(&alphas(4, &[255; 16]));
+        let same = with_mean_as_coverage(&full, 0.5, &|| Ok(())).expect("goes on");
+        assert_eq!(same.texels, full.texels, "a full card has nothing to change");
     }
 
     #[test]

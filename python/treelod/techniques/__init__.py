@@ -1,5 +1,6 @@
 """Every technique by name; a new one is one file here, one in the core, and a line below."""
 
+from treelod.techniques.billboard import Billboard, BillboardPicture, BillboardQuad
 from treelod.techniques.foliage_hierarchy import FoliageHierarchy
 from treelod.techniques.full_mesh import FullMesh
 from treelod.techniques.leaf_clusters import LeafClusters
@@ -12,6 +13,9 @@ from treelod.techniques.technique import BakedTexture, Footprint, Technique, Tex
 __all__ = [
     "REGISTRY",
     "BakedTexture",
+    "Billboard",
+    "BillboardPicture",
+    "BillboardQuad",
     "FoliageHierarchy",
     "Footprint",
     "FullMesh",
@@ -34,6 +38,7 @@ REGISTRY: dict[str, type[Technique]] = {
         SimplifiedMesh,
         PointsAndLines,
         StochasticPruning,
+        Billboard,
     )
 }
 """Techniques by the name that tables, command lines and sweeps use."""
