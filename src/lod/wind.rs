@@ -102,9 +102,20 @@ impl Gust {
 
     /// The shear of a placed copy, in its own coordinates: what is at the height of `foot` stays.
     pub fn shear(&self, view: &View, world_from_local: &DAffine3, foot: DVec3) -> DAffine3 {
+        self.shear_by(view, world_from_local, foot, self.slope())
+    }
+
+    /// As [`Gust::shear`], with another slope: for a part of a plant that moves by itself.
+    pub fn shear_by(
+        &self,
+        view: &View,
+        world_from_local: &DAffine3,
+        foot: DVec3,
+        slope: f64,
+    ) -> DAffine3 {
         let across = world_from_local.inverse().transform_vector3(self.toward(view));
         // in the plant's own level, at the length that the world's direction has along it
-        let across = DVec3::new(across.x, 0.0, across.z).normalize_or_zero() * self.slope();
+        let across = DVec3::new(across.x, 0.0, across.z).normalize_or_zero() * slope;
         DAffine3 {
             matrix3: DMat3::from_cols(DVec3::X, DVec3::Y + across, DVec3::Z),
             translation: across * -foot.y,
