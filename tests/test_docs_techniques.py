@@ -46,6 +46,7 @@ UNITS = {
 QUICK = {
     "slicings": {"slicing_count": 2, "slice_count": 2, "resolution": 8},
     "leaf_clusters": {"cluster_count": 2, "resolution": 8},
+    "orthogonal_slices": {"slice_count": 2, "resolution": 8},
 }
 """So that what is not refused is built at once."""
 

@@ -178,6 +178,66 @@ def test_the_twin_tells_orders_apart(lod):
     assert worst > 5e-3
 
 
+@pytest.mark.parametrize("azimuth", [20, 175])
+def test_cells_are_those_of_rays_with_shares_of_their_own(plant, azimuth):
+    # one slice, so that no order counts within a slicing, and few cells
+    kwargs = {"slicing_count": 4, "slice_count": 1, "resolution": 8, "correction": 0.5}
+    lod = tl.Slicings.build(plant, sub_slices=3, **kwargs)
+    angle = np.radians(azimuth)
+    eye = np.array([2.6 * np.sin(angle), 0.4, 2.6 * np.cos(angle)])
+    camera = tl.Camera.perspective(tuple(eye), (0, 0, 0), fov_y_deg=60, size=(60, 60))
+    frame = tl.render(lod, camera, samples=1, outputs=("color",))
+    right, up, back = camera.view_rotation()
+    scale = 2 * np.tan(np.radians(30)) / 60
+    cards = {int(t.name.split()[1][:-1]): t for t in lod.textures}
+    # the order of the slicings: by the opacity of all their cells
+    totals = dict.fromkeys(cards, 0.0)
+    opacities = {}
+    for number, texture in cards.items():
+        corner, b, _, d = texture.corners
+        for column in range(3):
+            for row in range(3):
+                u, v = (column + 0.5) / 3, (row + 0.5) / 3
+                middle = corner + u * (b - corner) + (1 - v) * (d - corner)
+                shares = twin_shares(4, eye, middle)
+                factor = 1 + 0.5 * min(shares.values())
+                opacity = min(shares.get(number, 0.0) * factor, 1)
+                opacities[number, column, row] = opacity
+                totals[number] += opacity
+    order = sorted(cards, key=lambda number: (totals[number], -number))
+    compared, plain_worst = 0, 0.0
+    plain = tl.render(tl.Slicings.build(plant, **kwargs), camera, samples=1, outputs=("color",))
+
+    def on_card(number, x, y):
+        ray = ((x + 0.5 - 30) * right + (30 - y - 0.5) * up) * scale - back
+        corner, b, _, d = cards[number].corners
+        across, along = b - corner, d - corner
+        normal = np.cross(across, along)
+        distance = np.dot(corner - eye, normal) / np.dot(ray, normal)
+        hit = eye + ray * distance - corner
+        return distance, hit @ across / (across @ across), 1 - hit @ along / (along @ along)
+
+    for x, y in np.random.default_rng(5).integers(5, 55, (100, 2)):
+        color, margin = np.zeros(4), np.inf
+        for number in order:
+            distance, u, v = on_card(number, x, y)
+            margin = min(margin, *np.abs([3 * u - np.round(3 * u), 3 * v - np.round(3 * v)]))
+            if 0 <= u < 1 and 0 <= v < 1 and distance > 0:
+                beside = [on_card(number, x + 1, y)[1:], on_card(number, x, y + 1)[1:]]
+                if max(np.linalg.norm(np.subtract(at, (u, v))) for at in beside) * 8 > 0.95:
+                    margin = 0.0  # so steep that a coarser level would be read
+                opacity = opacities[number, int(3 * u), int(3 * v)]
+                texel = twin_texel(cards[number].levels[0], u, v) * opacity
+                color = texel + (1 - texel[3]) * color
+        if margin > 0.04:
+            np.testing.assert_allclose(frame.color[y, x], color, atol=6e-4)
+            compared += color[3] > 0.05
+            plain_worst = max(plain_worst, np.abs(plain.color[y, x] - color).max())
+    assert compared > 25
+    # the control: whole slices have other opacities
+    assert plain_worst > 0.02
+
+
 # What is built
 
 
@@ -193,11 +253,19 @@ def test_facts_of_a_build(plant):
     assert lod.params == {
         "slicing_count": 2,
         "slice_count": 3,
+        "level_error_px": 1.0,
+        "level_distances": None,
         "resolution": (16, 8),
         "samples": 16,
         "correction": 0.5,
         "large_leaves": "split",
         "orientations": "circle",
+        "vertical": False,
+        "mirrored": False,
+        "drop_back": 0,
+        "sub_slices": 1,
+        "quadtree": None,
+        "branch_level": None,
         "format": "rgba8",
         "views": None,
         "wood": True,
@@ -234,10 +302,16 @@ def test_half_the_bytes_with_one_bit_of_alpha(plant):
             assert len(np.unique(level[..., :3])) <= 32
 
 
-def test_threads_do_not_change_a_bake(plant):
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"slicing_count": 3, "correction": "fit"},
+        {"slicing_count": 4, "slice_count": (4, 2), "quadtree": 8, "vertical": True},
+    ],
+)
+def test_threads_do_not_change_a_bake(plant, options):
     one, four = (
-        tl.Slicings.build(plant, slicing_count=3, resolution=32, correction="fit", threads=threads)
-        for threads in (1, 4)
+        tl.Slicings.build(plant, resolution=32, threads=threads, **options) for threads in (1, 4)
     )
     assert (one.m, one.tau) == (four.m, four.tau)
     for a, b in zip(one.textures, four.textures, strict=True):
@@ -377,6 +451,21 @@ HEMISPHERE = [(1, 0, 0), (-1, 0, 0), (0, 0, 1), (0, 0, -1), (0, 1, 0)]
         ({"orientations": [(1, 0, 0), (0, 1, 0)]}, "orientations"),
         ({"orientations": HEMISPHERE}, "orientations"),
         ({"threads": 0}, "threads"),
+        ({"slice_count": ()}, "slice_count is empty"),
+        ({"slice_count": (3, 5)}, "slice_count: must fall"),
+        ({"slice_count": (5, 3), "level_error_px": -1}, "level_error_px"),
+        ({"slice_count": (5, 3), "level_distances": (1, 2)}, "level_distances"),
+        ({"level_distances": "far"}, "level_distances"),
+        ({"vertical": True, "orientations": "sphere"}, "vertical"),
+        ({"mirrored": True, "slicing_count": 5}, "mirrored"),
+        ({"drop_back": 5}, "drop_back"),
+        ({"drop_back": -1}, "drop_back"),
+        ({"sub_slices": 0}, "sub_slices"),
+        ({"sub_slices": 100}, "sub_slices"),
+        ({"quadtree": 24}, "quadtree"),
+        ({"quadtree": 4}, "quadtree"),
+        ({"quadtree": 64, "resolution": 100}, "resolution"),
+        ({"branch_level": 1}, "branch_level"),
     ],
 )
 def test_bad_arguments_are_named(plant, arguments, message):
@@ -452,3 +541,91 @@ def test_memory_is_refused_before_it_is_used():
         env={**os.environ, "TREELOD_NUM_THREADS": "2"},
     )
     assert done.stdout.startswith("resolution needs 1099511627776 texels")
+
+
+# Options
+
+
+def test_levels_are_chosen_by_pixels_and_by_distance(plant):
+    kwargs = {"slicing_count": 4, "resolution": 128, "samples": 4}
+    lod = tl.Slicings.build(plant, slice_count=(5, 3, 1), level_error_px=4, **kwargs)
+    assert lod.params["slice_count"] == (5, 3, 1)
+    assert [level.slice_count for level in lod.levels] == [5, 3, 1]
+    # a crown 2.4 m deep, seen at up to 45 degrees
+    expected = [2.4 / n / 2 * np.sin(np.pi / 4) for n in (5, 3, 1)]
+    np.testing.assert_allclose([level.error for level in lod.levels], expected, rtol=1e-6)
+
+    def cards(lod, distance):
+        camera = tl.Camera.perspective((0, 0, distance), (0, 0, 0), fov_y_deg=45, size=(64, 64))
+        return tl.render(lod, camera, outputs=("color",)).stats.cards
+
+    assert [cards(lod, distance) for distance in (5, 12, 40)] == [5, 3, 1]
+    stated = tl.Slicings.build(plant, slice_count=(5, 3), level_distances=10, **kwargs)
+    radius = np.linalg.norm(np.array(plant.bounds), axis=1).max()
+    assert [cards(stated, r * radius) for r in (8, 12)] == [5, 3]
+    single = tl.Slicings.build(plant, slice_count=5, **kwargs).footprint.texture_bytes
+    assert single < lod.footprint.texture_bytes < 1.3 * single, "coarse levels have few texels"
+
+
+def test_options_save_bytes(plant):
+    kwargs = {"slicing_count": 4, "slice_count": 3, "resolution": 128}
+    plain = tl.Slicings.build(plant, **kwargs)
+    mirrored = tl.Slicings.build(plant, mirrored=True, **kwargs)
+    assert mirrored.footprint.texture_bytes * 2 == plain.footprint.texture_bytes
+    assert mirrored.baked == [True] * 4
+    squares = tl.Slicings.build(plant, quadtree=16, **kwargs)
+    assert squares.footprint.texture_bytes == sum(
+        level.shape[0] * level.shape[1] * 4 for t in squares.textures for level in t.levels
+    )
+    # every texel of a square is that of the whole picture at the same place
+    whole = {t.name: t for t in plain.textures}
+    square = next(t for t in squares.textures if t.name == "slicing 1, slice 1, square 0")
+    texture = whole["slicing 1, slice 1"]
+    corner, right, _, top = texture.corners
+    offset = square.corners[3] - top
+    width, height = np.linalg.norm(right - corner), np.linalg.norm(top - corner)
+    x = round(offset @ (right - corner) / width**2 * 128)
+    y = round(-offset @ (top - corner) / height**2 * 128)
+    side = square.levels[0].shape[0]
+    rows, columns = (np.clip(np.arange(at, at + side), 0, 127) for at in (y, x))
+    np.testing.assert_array_equal(square.levels[0], texture.levels[0][np.ix_(rows, columns)])
+
+
+def test_a_vertical_slicing_shows_the_crown_from_above(plant):
+    kwargs = {"resolution": 64, "slice_count": 3}
+    down = tl.Camera.orthographic((0, 9, 0), (0, 0, 0), height=4, size=(64, 64))
+    full = tl.render(tl.FullMesh.build(plant), down).color[..., 3].mean()
+    alphas = [
+        tl.render(tl.Slicings.build(plant, vertical=vertical, **kwargs), down).color[..., 3].mean()
+        for vertical in (False, True)
+    ]
+    assert alphas[0] == 0, "cards seen edge on"
+    assert alphas[1] == pytest.approx(full, abs=0.01)
+
+
+def test_branches_of_a_grown_plant():
+    plant = tl.grow_plant("chestnut", leaf_count=800)
+    lod = tl.Slicings.build(plant, branch_level=1, slice_count=3, resolution=64)
+    assert lod.part_count > 5
+    names = {t.name.split(",")[0] for t in lod.textures if t.corners is not None}
+    assert len(names) <= lod.part_count
+    assert all(name.startswith("branch ") for name in names)
+    camera = tl.orbit(plant, elevation_deg=20, size=(64, 64))[0]
+    full = tl.render(tl.FullMesh.build(plant), camera).color[..., 3].mean()
+    assert tl.render(lod, camera).color[..., 3].mean() == pytest.approx(full, rel=0.35)
+
+
+def test_slices_lean_in_the_wind_and_stay_at_the_foot(plant):
+    lod = tl.Slicings.build(plant, slicing_count=4, slice_count=3, resolution=32)
+    camera = tl.Camera.orthographic((0, 0, 9), (0, 0, 0), height=4, size=(80, 80))
+    wind = tl.Wind(sway=0.0, lean=0.25, azimuth_deg=90)
+    still = tl.render(tl.Scene([(lod, None)]), camera).color[..., 3]
+    leaning = tl.render(tl.Scene([(lod, None)], wind=wind), camera).color[..., 3]
+    foot = plant.bounds[0][1]
+    for row in (20, 40, 55):
+        height = 2 - (row + 0.5) / 20 - foot
+        shift = height * 0.25 * 20
+        moved = np.interp(np.arange(80) - shift, np.arange(80), still[row])
+        # moved by a part of a pixel, where edges are sharp
+        assert np.abs(moved - leaning[row]).mean() < 0.05
+        assert np.abs(still[row] - leaning[row]).mean() > np.abs(moved - leaning[row]).mean()

@@ -20,7 +20,6 @@ pub mod impostor;
 pub mod indirect;
 pub mod kmeans;
 mod leaves;
-pub mod level_rule;
 pub mod misses;
 pub mod moments;
 mod moves;
@@ -45,9 +44,9 @@ use crate::lod::leaf_clusters::hierarchy::Level;
 use crate::lod::leaf_clusters::impostor::{Flatten, Outline, flattened, impostors};
 use crate::lod::leaf_clusters::indirect::Indirect;
 use crate::lod::leaf_clusters::kmeans::{Init, cluster};
-use crate::lod::leaf_clusters::level_rule::{Choice, LevelRule, Seen};
 use crate::lod::leaf_clusters::plane::{Eigen, Plane};
 use crate::lod::leaves::Leaves;
+use crate::lod::level_rule::{Choice, LevelRule, Seen};
 use crate::lod::solid::Solid;
 use crate::lod::wood::Wood;
 use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation, foot_of};
@@ -212,7 +211,7 @@ impl LeafClusters {
             parents: Vec::new(),
         };
         let levels = finest.coarsened(&params.cluster_counts[1..], alpha, params.eigen, job)?;
-        check_rule(&params.rule, levels.len())?;
+        params.rule.check(levels.len())?;
         let mut baker = Baker::new(plant, params, job);
         let mut drawn: Vec<DrawnLevel> = Vec::new();
         let mut errors: Vec<f64> = Vec::new();
@@ -328,16 +327,7 @@ impl LeafClusters {
 
     fn choose(&self, view: &View, crown: &Crown) -> Choice {
         let Built { errors, center, radius, .. } = &*self.built;
-        let distance = if view.is_orthographic() {
-            let depth = view.view_from_world(crown.world_from_local.transform_point3(*center)).z;
-            depth / level_rule::scale(crown)
-        } else {
-            (crown.local_eye(view) - *center).length()
-        };
-        // a crown that is a point is seen from afar
-        let distance_rel = if *radius > 0.0 { distance / radius } else { f64::INFINITY };
-        let seen = Seen { view, crown, distance_rel, radius: *radius };
-        self.rule.choose(errors, &seen)
+        self.rule.choose(errors, &Seen::new(view, crown, *center, *radius))
     }
 }
 
@@ -375,20 +365,6 @@ fn check(params: &Params) -> Result<(), LodError> {
         return Err(LodError::Empty { name: "views", why });
     }
     Ok(())
-}
-
-fn check_rule(rule: &LevelRule, level_count: usize) -> Result<(), LodError> {
-    let LevelRule::Distances(distances) = rule else { return Ok(()) };
-    let rising = distances.windows(2).all(|pair| pair[0] < pair[1]);
-    let positive = distances.iter().all(|&far| far > 0.0 && far.is_finite());
-    if distances.len() + 1 == level_count && rising && positive {
-        return Ok(());
-    }
-    let why = format!(
-        "{level_count} levels change at {} rising distances, got {distances:?}",
-        level_count - 1
-    );
-    Err(LodError::Invalid { name: "level_distances", why })
 }
 
 impl Representation for LeafClusters {

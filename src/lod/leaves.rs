@@ -4,6 +4,7 @@
 //! that what they hide needs no alpha test, then the blended ones far to near.
 
 use std::borrow::Cow;
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
@@ -35,6 +36,8 @@ pub(crate) struct Placed {
 #[derive(Clone)]
 pub(crate) struct Leaves<'a> {
     pub(crate) plant: &'a Plant,
+    /// Which of the plant's leaves these are; `None` for all.
+    numbers: Option<Arc<[usize]>>,
     /// The plant's own, unless leaves have been turned.
     mesh: Cow<'a, Mesh>,
     geometry: Arc<Geometry>,
@@ -45,7 +48,7 @@ pub(crate) struct Leaves<'a> {
     /// Leaf centres relative to `center`.
     pub(crate) leaf_centers: Vec<DVec3>,
     /// Material of each triangle.
-    pub(crate) materials: Vec<u32>,
+    pub(crate) materials: Arc<[u32]>,
 }
 
 impl<'a> Leaves<'a> {
@@ -60,6 +63,7 @@ impl<'a> Leaves<'a> {
         let center = (low.as_dvec3() + high.as_dvec3()) * 0.5;
         let mut leaves = Self {
             plant,
+            numbers: None,
             mesh: Cow::Borrowed(&foliage.mesh),
             geometry: Geometry::new(Buffers::from_mesh(
                 &foliage.mesh,
@@ -70,16 +74,49 @@ impl<'a> Leaves<'a> {
             leaf_centers: foliage.centers.iter().map(|p| p.as_dvec3() - center).collect(),
             materials: foliage.mesh.triangle_materials().collect(),
         };
-        leaves.radius = (0..leaves.leaf_centers.len())
-            .into_par_iter()
-            .map(|leaf| leaves.vertices_of(leaf).map(DVec3::length).fold(0.0, f64::max))
-            .reduce(|| 0.0, f64::max);
+        leaves.radius = leaves.largest_distance();
         Ok(leaves)
+    }
+
+    /// Of a vertex from the centre.
+    fn largest_distance(&self) -> f64 {
+        (0..self.leaf_centers.len())
+            .into_par_iter()
+            .map(|leaf| self.vertices_of(leaf).map(DVec3::length).fold(0.0, f64::max))
+            .reduce(|| 0.0, f64::max)
+    }
+
+    /// Some of these leaves, at least one, as a crown of their own with its own centre and radius.
+    pub(crate) fn chosen(&self, chosen: &[usize]) -> Self {
+        assert!(!chosen.is_empty(), "a crown has leaves");
+        let center_of = |&leaf: &usize| self.leaf_centers[leaf] + self.center;
+        let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        let spread = |(low, high): (DVec3, DVec3), p: DVec3| (low.min(p), high.max(p));
+        let (low, high) = chosen.iter().map(center_of).fold(none, spread);
+        let center = (low + high) * 0.5;
+        let mut leaves = Self {
+            numbers: Some(chosen.iter().map(|&leaf| self.number(leaf)).collect()),
+            center,
+            leaf_centers: chosen.iter().map(|leaf| center_of(leaf) - center).collect(),
+            ..self.clone()
+        };
+        leaves.radius = leaves.largest_distance();
+        leaves
+    }
+
+    /// Index of a leaf among the plant's.
+    pub(crate) fn number(&self, leaf: usize) -> usize {
+        self.numbers.as_ref().map_or(leaf, |numbers| numbers[leaf])
+    }
+
+    /// A leaf's triangles among the foliage's.
+    pub(crate) fn triangles_of(&self, leaf: usize) -> Range<usize> {
+        self.plant.foliage.triangles_of(self.number(leaf))
     }
 
     /// A leaf's vertices, some of them several times.
     pub(crate) fn vertices_of(&self, leaf: usize) -> impl Iterator<Item = DVec3> {
-        let triangles = self.plant.foliage.triangles_of(leaf);
+        let triangles = self.triangles_of(leaf);
         triangles.flat_map(|t| self.mesh.corners(t)).map(|p| p.as_dvec3() - self.center)
     }
 
@@ -92,7 +129,7 @@ impl<'a> Leaves<'a> {
         for (leaf, &center) in self.leaf_centers.iter().enumerate() {
             let turn = turn_of(leaf);
             let center = center + self.center;
-            for triangle in self.plant.foliage.triangles_of(leaf) {
+            for triangle in self.triangles_of(leaf) {
                 let corners = self.mesh.triangles[triangle].map(|vertex| {
                     let from = vertex as usize;
                     if moved[from].0 != leaf {
@@ -113,20 +150,13 @@ impl<'a> Leaves<'a> {
             }
         }
         let geometry = Geometry::new(Buffers::from_mesh(&mesh, Buffers::ids_from(0, &mesh)));
-        Self {
-            mesh: Cow::Owned(mesh),
-            geometry,
-            leaf_centers: self.leaf_centers.clone(),
-            materials: self.materials.clone(),
-            ..*self
-        }
+        Self { mesh: Cow::Owned(mesh), geometry, ..self.clone() }
     }
 
     /// Mean lit colour of a leaf as seen from a direction, over the area seen from there.
     pub(crate) fn mean_lit(&self, leaf: usize, toward: DVec3) -> Vec3 {
         let (mut sum, mut weights) = (DVec3::ZERO, 0.0);
-        let triangles = self.plant.foliage.triangles_of(leaf);
-        for triangle in triangles {
+        for triangle in self.triangles_of(leaf) {
             let [a, b, c] = self.mesh.corners(triangle).map(|p| p.as_dvec3());
             let weight = (b - a).cross(c - a).dot(toward);
             let side = if weight < 0.0 { &self.mesh.back } else { &self.mesh.front };
@@ -160,7 +190,7 @@ impl<'a> Leaves<'a> {
         let mut drawn: Vec<Drawn> = leaves
             .iter()
             .flat_map(|&Placed { leaf, cut }| {
-                self.plant.foliage.triangles_of(leaf).map(move |triangle| (triangle, cut))
+                self.triangles_of(leaf).map(move |triangle| (triangle, cut))
             })
             .enumerate()
             .map(|(place, (triangle, cut))| {

@@ -8,17 +8,23 @@ pub mod eigen;
 pub mod foliage_hierarchy;
 pub mod full_mesh;
 pub mod leaf_clusters;
+pub mod orthogonal_slices;
 pub mod points_and_lines;
 pub mod simplified_mesh;
 pub mod slicings;
 pub mod stochastic_pruning;
 
 pub(crate) mod leaves;
+pub mod level_rule;
 #[cfg(test)]
 pub(crate) mod made;
+pub mod opacity;
 pub mod simplify;
+pub(crate) mod slabs;
 pub mod solid;
+pub(crate) mod stack;
 pub mod view_blend;
+pub(crate) mod viewer;
 pub mod wind;
 pub mod wood;
 pub mod wood_levels;
@@ -106,6 +112,11 @@ impl Crown {
         let placed = self.world_from_local;
         let shear = |gust: Gust| placed * gust.shear(view, &placed, foot);
         Self { world_from_local: self.wind.map_or(placed, shear), ..self.clone() }
+    }
+
+    /// How much larger it is than the representation itself, in the mean of all directions.
+    pub fn scale(&self) -> f64 {
+        libm::cbrt(self.world_from_local.matrix3.determinant().abs())
     }
 
     /// A world direction in local coordinates, unit length.

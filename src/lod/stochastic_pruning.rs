@@ -280,7 +280,7 @@ impl StochasticPruning {
 
     fn choose(&self, view: &View, crown: &Crown) -> Level {
         let Built { params, leaf_width, center, leaf_count, .. } = &*self.built;
-        let scale = libm::cbrt(crown.world_from_local.matrix3.determinant().abs());
+        let scale = crown.scale();
         let distance = crown.world_from_local.transform_point3(*center).distance(view.eye);
         let width_px = leaf_width * scale / view.pixel_size_at(distance.max(view.near));
         let of_view = || kept_share(params.leaf_width_px / width_px, params.half_ratio);

@@ -9,7 +9,7 @@
 //! Aleks Jakulin. Interactive Vegetation Rendering with Slicing and Blending. 2000
 
 use std::cmp::Reverse;
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use glam::DVec3;
 
@@ -37,6 +37,8 @@ const MIN_VOLUME: f64 = 1e-9;
 pub struct ViewBlend {
     directions: Vec<DVec3>,
     law: Law,
+    /// Whether the last direction is up and stands for all elevations.
+    vertical: bool,
 }
 
 #[derive(Debug, Clone)]
@@ -100,7 +102,7 @@ impl ViewBlend {
                 return Err(invalid(format!("orientations {other} and {index} are equal")));
             }
         }
-        let mut blend = Self { directions: units, law: Law::Single };
+        let mut blend = Self { directions: units, law: Law::Single, vertical: false };
         let units = &blend.directions;
         blend.law = if units.len() == 1 {
             Law::Single
@@ -120,7 +122,22 @@ impl ViewBlend {
         Ok(blend)
     }
 
-    /// Unit directions, in the order given.
+    /// The same directions, all horizontal, and up: the share of up grows with the angle above or
+    /// below the horizon, from 0 there to 1 straight above and below.
+    ///
+    /// # Errors
+    /// [`LodError::Invalid`] under `vertical` if a direction is not horizontal.
+    pub fn with_vertical(mut self) -> Result<Self, LodError> {
+        if !self.is_level() {
+            let why = "is for orientations that are all horizontal".to_owned();
+            return Err(LodError::Invalid { name: "vertical", why });
+        }
+        self.directions.push(DVec3::Y);
+        self.vertical = true;
+        Ok(self)
+    }
+
+    /// Unit directions, in the order given; up comes last where it was added.
     pub fn directions(&self) -> &[DVec3] {
         &self.directions
     }
@@ -140,15 +157,34 @@ impl ViewBlend {
             Law::Circle(sorted) => on_circle(sorted, level_direction(toward, up)),
             Law::Sphere(triangles) => self.on_sphere(triangles, toward),
         };
-        shares.retain(|&(_, share)| share > MIN_SHARE);
-        if let [(_, share)] = &mut shares[..] {
-            *share = 1.0;
+        if self.vertical {
+            let elevation = libm::atan2(toward.y.abs(), toward.x.hypot(toward.z));
+            let of_up = elevation / FRAC_PI_2;
+            shares.iter_mut().for_each(|(_, share)| *share *= 1.0 - of_up);
+            shares.push((self.directions.len() - 1, of_up));
         }
-        shares.sort_by(|a, b| a.1.total_cmp(&b.1));
-        for equals in shares.chunk_by_mut(|a, b| b.1 - a.1 < TIE) {
-            equals.sort_by_key(|&(number, _)| Reverse(number));
+        ordered(shares)
+    }
+
+    /// Largest angle, along the horizon where all directions lie there, between a viewer and the
+    /// nearest direction.
+    pub fn largest_angle(&self) -> f64 {
+        match &self.law {
+            Law::Single => PI,
+            Law::Circle(sorted) => {
+                let next = sorted.iter().cycle().skip(1);
+                let arcs = sorted.iter().zip(next).map(|(a, b)| (b.1 - a.1).rem_euclid(TAU));
+                arcs.fold(0.0, f64::max) / 2.0
+            }
+            Law::Sphere(triangles) => {
+                let angle = |triangle: &[u32; 3]| {
+                    let [a, b, c] = triangle.map(|index| self.directions[index as usize]);
+                    let middle = (b - a).cross(c - a).normalize_or_zero();
+                    libm::acos(middle.dot(a).abs().min(1.0))
+                };
+                triangles.iter().map(angle).fold(0.0, f64::max)
+            }
         }
-        shares
     }
 
     fn on_sphere(&self, triangles: &[[u32; 3]], toward: DVec3) -> Vec<(usize, f64)> {
@@ -176,6 +212,20 @@ impl ViewBlend {
         shares.iter_mut().for_each(|(_, share)| *share /= total);
         shares
     }
+}
+
+/// Shares in the order in which they are drawn: ascending, of equal ones the higher index first; without
+/// those that are nothing but rounding.
+pub(crate) fn ordered(mut shares: Vec<(usize, f64)>) -> Vec<(usize, f64)> {
+    shares.retain(|&(_, share)| share > MIN_SHARE);
+    if let [(_, share)] = &mut shares[..] {
+        *share = 1.0;
+    }
+    shares.sort_by(|a, b| a.1.total_cmp(&b.1));
+    for equals in shares.chunk_by_mut(|a, b| b.1 - a.1 < TIE) {
+        equals.sort_by_key(|&(number, _)| Reverse(number));
+    }
+    shares
 }
 
 /// The horizontal part of a direction; straight above or below, what the picture's up points at.
@@ -288,6 +338,45 @@ mod tests {
     fn one_direction_takes_all() {
         let blend = ViewBlend::new(&[DVec3::new(0.0, 2.0, 0.0)], None).expect("one");
         assert_eq!(blend.shares(DVec3::NEG_Y, DVec3::X), [(0, 1.0)], "from anywhere");
+    }
+
+    #[test]
+    fn up_takes_over_with_the_elevation() {
+        let blend = ViewBlend::new(&circle(4), None).and_then(ViewBlend::with_vertical);
+        let blend = blend.expect("level");
+        assert_eq!(blend.directions().last(), Some(&DVec3::Y), "the fifth");
+        assert_eq!(shares(&blend, DVec3::Z), [(0, 1.0)], "level");
+        assert_eq!(shares(&blend, DVec3::new(0.0, 3.0, 3.0)), [(4, 0.5), (0, 0.5)], "45 degrees");
+        let thirds = DVec3::new(0.0, -1.0, 3.0_f64.sqrt());
+        let third = 0.333_333_333;
+        assert_eq!(shares(&blend, thirds), [(4, third), (0, 0.666_666_667)], "30 degrees below");
+        let between = DVec3::new(1.0, 2.0_f64.sqrt(), 1.0);
+        assert_eq!(shares(&blend, between), [(1, 0.25), (0, 0.25), (4, 0.5)], "three of them");
+        for pole in [DVec3::Y, DVec3::NEG_Y] {
+            assert_eq!(blend.shares(pole, DVec3::NEG_Z), [(4, 1.0)], "alone at {pole}");
+        }
+        assert_eq!(blend.shares(DVec3::ZERO, DVec3::Y), [(0, 1.0)], "from the centre: level");
+        let single = ViewBlend::new(&[DVec3::X], None).and_then(ViewBlend::with_vertical);
+        let single = single.expect("level");
+        assert_eq!(shares(&single, DVec3::new(0.0, 1.0, 1.0)), [(1, 0.5), (0, 0.5)], "and one");
+        let steep = ViewBlend::new(&[DVec3::ONE], None).expect("one").with_vertical();
+        assert!(steep.expect_err("not level").to_string().starts_with("vertical"), "refused");
+    }
+
+    #[test]
+    fn the_largest_angle_is_half_the_widest_gap() {
+        let blend = |directions: &[DVec3]| ViewBlend::new(directions, None).expect("level");
+        let degrees = |blend: &ViewBlend| blend.largest_angle().to_degrees();
+        assert!((degrees(&blend(&circle(6))) - 30.0).abs() < 1e-9, "six");
+        assert!((degrees(&blend(&[DVec3::Z, DVec3::X])) - 135.0).abs() < 1e-9, "two of four");
+        assert!((degrees(&blend(&[DVec3::Z])) - 180.0).abs() < 1e-9, "one");
+        let axes = [DVec3::X, DVec3::Y, DVec3::Z, DVec3::splat(-1.0)];
+        let triangles = vec![[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]];
+        let closed = ViewBlend::new(&axes, Some(triangles)).expect("closed");
+        // the widest is around (a, a, -c), as far from x and y as from -(1, 1, 1)
+        let middle = DVec3::new(1.0, 1.0, -2.0 - 3.0_f64.sqrt()).normalize();
+        let wanted = libm::acos(middle.x).to_degrees();
+        assert!((degrees(&closed) - wanted).abs() < 1e-9, "{} for {wanted}", degrees(&closed));
     }
 
     #[test]

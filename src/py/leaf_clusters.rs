@@ -15,9 +15,9 @@ use crate::lod::Representation as _;
 use crate::lod::leaf_clusters::impostor::{Flatten, Outline};
 use crate::lod::leaf_clusters::indirect::Indirect;
 use crate::lod::leaf_clusters::kmeans::Init;
-use crate::lod::leaf_clusters::level_rule::LevelRule;
 use crate::lod::leaf_clusters::plane::{Eigen, Plane};
 use crate::lod::leaf_clusters::{self as core, Alpha, Drawing, Params, Texels, Transition};
+use crate::lod::level_rule::LevelRule;
 use crate::texture::Format;
 
 /// Parameters as the Python face states them: one of each pair of alternatives is given.

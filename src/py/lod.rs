@@ -2,23 +2,18 @@
 
 use std::sync::Arc;
 
-use glam::DVec3;
-use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use super::arrays::rows;
 use super::plant::Plant;
 use super::run::run;
-use super::view::CameraFacts;
-use crate::error::LodError;
 use crate::lod;
 use crate::lod::full_mesh::FullMesh;
-use crate::lod::slicings::{Correction, LargeLeaves, Params, Slicings};
-use crate::lod::view_blend::ViewBlend;
+use crate::lod::opacity::Correction;
 use crate::lod::wood::Wood;
-use crate::texture::{Filter, Format};
+use crate::texture::Filter;
 
 /// A plant as one technique stands for it. Immutable.
 #[pyclass(frozen, module = "treelod._core")]
@@ -112,64 +107,6 @@ pub(super) fn full_mesh(
     Ok(Representation { inner: Arc::new(built) })
 }
 
-/// Slices through the crown; also what was measured while baking, and which slicings were baked.
-#[pyfunction]
-#[pyo3(signature = (
-    plant, orientations, sphere_triangles, *, slice_count, resolution, samples, correction,
-    large_leaves, format, wood, wood_triangle_count, views, threads, progress
-))]
-#[expect(clippy::too_many_arguments, reason = "called from one place, by its Python face")]
-pub(super) fn slicings<'py>(
-    py: Python<'py>,
-    plant: &Plant,
-    orientations: PyReadonlyArray2<'py, f64>,
-    sphere_triangles: Option<PyReadonlyArray2<'py, u32>>,
-    slice_count: usize,
-    resolution: (u32, u32),
-    samples: u32,
-    correction: CorrectionFacts,
-    large_leaves: &str,
-    format: &str,
-    wood: bool,
-    wood_triangle_count: Option<usize>,
-    views: Option<Vec<CameraFacts>>,
-    threads: Option<usize>,
-    progress: Option<Py<PyAny>>,
-) -> PyResult<(Representation, Bound<'py, PyDict>)> {
-    let directions: Vec<[f64; 3]> = rows("orientations", &orientations)?;
-    let directions: Vec<DVec3> = directions.into_iter().map(DVec3::from).collect();
-    let triangles =
-        sphere_triangles.map(|t| rows::<u32, [u32; 3]>("sphere_triangles", &t)).transpose()?;
-    let corrections = [("fit", Correction::Fit), ("optical", Correction::Optical)];
-    let correction = match correction {
-        CorrectionFacts::Linear(m) => Correction::Linear(m),
-        CorrectionFacts::Named(name) => choice("correction", &name, &corrections)?,
-    };
-    let large = [("split", LargeLeaves::Split), ("mesh", LargeLeaves::Mesh)];
-    let views = views.map(|views| views.iter().map(CameraFacts::view).collect()).transpose()?;
-    let params = Params {
-        blend: ViewBlend::new(&directions, triangles)?,
-        slice_count,
-        resolution,
-        sample_count: samples,
-        correction,
-        large_leaves: choice("large_leaves", large_leaves, &large)?,
-        format: choice("format", format, &Format::ALL)?,
-        wood: wood_from(wood, wood_triangle_count),
-        views,
-    };
-    let plant = Arc::clone(&plant.inner);
-    let (built, measured) =
-        run(py, threads, progress, move |job| Slicings::build(&plant, &params, job))?;
-    let facts = PyDict::new(py);
-    facts.set_item("m", measured.m)?;
-    facts.set_item("fitted", measured.fitted)?;
-    facts.set_item("tau", measured.tau)?;
-    facts.set_item("large_leaf_count", measured.large_leaf_count)?;
-    facts.set_item("baked", built.baked())?;
-    Ok((Representation { inner: Arc::new(built) }, facts))
-}
-
 /// A number, or the name of a rule that finds it.
 #[derive(FromPyObject)]
 pub(super) enum CorrectionFacts {
@@ -177,16 +114,10 @@ pub(super) enum CorrectionFacts {
     Named(String),
 }
 
-/// Points on the unit sphere, evenly: shape (count, 3).
-#[pyfunction]
-pub(super) fn sphere_directions(count: usize) -> Result<Vec<[f64; 3]>, LodError> {
-    crate::error::check_in("slicing_count", count, 1..=4096)?;
-    Ok(lod::view_blend::sphere(count).into_iter().map(|direction| direction.to_array()).collect())
-}
-
-/// Points on the horizontal unit circle, evenly, from +z, counter-clockwise from above.
-#[pyfunction]
-pub(super) fn circle_directions(count: usize) -> Result<Vec<[f64; 3]>, LodError> {
-    crate::error::check_in("slicing_count", count, 1..=4096)?;
-    Ok(lod::view_blend::circle(count).into_iter().map(|direction| direction.to_array()).collect())
+pub(super) fn correction_from(facts: CorrectionFacts) -> PyResult<Correction> {
+    let corrections = [("fit", Correction::Fit), ("optical", Correction::Optical)];
+    match facts {
+        CorrectionFacts::Linear(m) => Ok(Correction::Linear(m)),
+        CorrectionFacts::Named(name) => choice("correction", &name, &corrections),
+    }
 }

@@ -13,12 +13,14 @@ mod foliage_hierarchy;
 mod grow;
 mod leaf_clusters;
 mod lod;
+mod orthogonal_slices;
 mod plant;
 mod png;
 mod points_and_lines;
 mod render;
 mod run;
 mod simplified_mesh;
+mod slicings;
 mod stochastic_pruning;
 mod structure;
 mod variety;
@@ -103,7 +105,9 @@ mod _core {
     #[pymodule_export]
     use super::leaf_clusters::{LeafClusters, leaf_clusters};
     #[pymodule_export]
-    use super::lod::{Representation, circle_directions, full_mesh, slicings, sphere_directions};
+    use super::lod::{Representation, full_mesh};
+    #[pymodule_export]
+    use super::orthogonal_slices::orthogonal_slices;
     #[pymodule_export]
     use super::plant::{Plant, smooth_normals, split_plant};
     #[pymodule_export]
@@ -116,6 +120,8 @@ mod _core {
     use super::run::{_panic_for_test, _spin_for_test};
     #[pymodule_export]
     use super::simplified_mesh::simplified_mesh;
+    #[pymodule_export]
+    use super::slicings::{circle_directions, slicings, sphere_directions};
     #[pymodule_export]
     use super::stochastic_pruning::{StochasticPruning, stochastic_pruning};
     #[pymodule_export]

@@ -9,6 +9,7 @@ pub mod formats;
 pub mod linear;
 pub mod mips;
 mod palette;
+pub mod quadtree;
 pub mod srgb;
 #[expect(clippy::module_inception, reason = "the file is named for the type it holds")]
 pub mod texture;

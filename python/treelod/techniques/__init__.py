@@ -4,6 +4,7 @@ from treelod.techniques.billboard import Billboard, BillboardPicture, BillboardQ
 from treelod.techniques.foliage_hierarchy import FoliageHierarchy
 from treelod.techniques.full_mesh import FullMesh
 from treelod.techniques.leaf_clusters import LeafClusters
+from treelod.techniques.orthogonal_slices import OrthogonalSlices
 from treelod.techniques.points_and_lines import PointsAndLines
 from treelod.techniques.simplified_mesh import SimplifiedMesh
 from treelod.techniques.slicings import Slicings
@@ -20,6 +21,7 @@ __all__ = [
     "Footprint",
     "FullMesh",
     "LeafClusters",
+    "OrthogonalSlices",
     "PointsAndLines",
     "SimplifiedMesh",
     "Slicings",
@@ -33,6 +35,7 @@ REGISTRY: dict[str, type[Technique]] = {
     for technique in (
         FullMesh,
         Slicings,
+        OrthogonalSlices,
         LeafClusters,
         FoliageHierarchy,
         SimplifiedMesh,

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeGuard
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -16,14 +15,17 @@ from treelod.techniques.technique import (
     TextureFormat,
     core_of,
     flag,
+    is_many,
     number,
+    numbers,
     resolution_texels,
     whole,
+    whole_numbers,
     wood_facts,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -322,11 +324,11 @@ class LeafClusters(Technique):
         >>> lod.footprint.cards, lod.planes.shape
         (8, (8, 4))
         """
-        counts = _counts(cluster_count)
+        counts = whole_numbers("cluster_count", cluster_count)
         wood_params = wood_facts(wood=wood, wood_triangle_count=wood_triangle_count)
         initial, init_name = _init(init)
         size = resolution_texels("resolution", resolution)
-        distances = None if level_distances is None else _distances(level_distances)
+        distances = None if level_distances is None else numbers("level_distances", level_distances)
         facts: dict[str, Any] = {
             "cluster_counts": counts,
             "alpha": None if alpha is None else number("alpha", alpha),
@@ -367,7 +369,7 @@ class LeafClusters(Technique):
         )
         secs = time.perf_counter() - start
         params = {
-            "cluster_count": tuple(counts) if _is_many(cluster_count) else counts[0],
+            "cluster_count": tuple(counts) if is_many(cluster_count) else counts[0],
             **{key: value for key, value in facts.items() if key != "cluster_counts"},
             "init": init_name,
             "views": None if views is None else len(views),
@@ -377,27 +379,6 @@ class LeafClusters(Technique):
 
 def _level(level: int) -> int:
     return whole("level", level, 0)
-
-
-def _is_many(cluster_count: int | Sequence[int]) -> TypeGuard[Sequence[int]]:
-    return isinstance(cluster_count, Sequence | np.ndarray)
-
-
-def _counts(cluster_count: int | Sequence[int]) -> list[int]:
-    if isinstance(cluster_count, str):
-        msg = f"cluster_count must be a number or a sequence of numbers, got {cluster_count!r}"
-        raise TypeError(msg)
-    if _is_many(cluster_count):
-        return [whole("cluster_count", count) for count in cluster_count]
-    return [whole("cluster_count", cluster_count)]  # type: ignore[arg-type]
-
-
-def _distances(level_distances: float | Sequence[float]) -> list[float]:
-    given = np.asarray(level_distances)
-    if given.ndim > 1 or given.dtype.kind not in "iuf":
-        msg = f"level_distances must be a number or a sequence of numbers, got {level_distances!r}"
-        raise ValueError(msg)
-    return [float(distance) for distance in np.atleast_1d(given)]
 
 
 def _init(init: str | ArrayLike) -> tuple[Any, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -13,8 +14,14 @@ from treelod.techniques.technique import (
     Technique,
     TextureFormat,
     core_of,
+    flag,
+    is_many,
+    number,
+    numbers,
     resolution_texels,
+    text,
     whole,
+    whole_numbers,
     wood_facts,
 )
 
@@ -26,10 +33,36 @@ if TYPE_CHECKING:
     from treelod.cameras import Camera
     from treelod.plants import Plant
 
-__all__ = ["Slicings"]
+__all__ = ["SlicingLevel", "Slicings"]
 
 LEVEL_TOLERANCE = 1e-9
 """Height of a unit direction up to which it counts as horizontal; the core has the same."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlicingLevel:
+    """
+    One level of detail of slicings.
+
+    Attributes
+    ----------
+    slice_count : int
+        Slices of each slicing.
+    m : float or None
+        The multiplier in use, or None with the optical correction.
+    fitted : bool or None
+        With ``correction="fit"``: whether a multiplier was found.
+    tau : float
+        Optical depth of a slice.
+    error : float
+        How far, in metres, a leaf may seem to be from its place, seen from the worst side.
+    """
+
+    slice_count: int
+    m: float | None
+    fitted: bool | None
+    tau: float
+    error: float
 
 
 class Slicings(Technique):
@@ -39,16 +72,21 @@ class Slicings(Technique):
     Attributes
     ----------
     m : float or None
-        The multiplier in use, or None with the optical correction.
+        The multiplier in use, or None with the optical correction; of the finest level.
     fitted : bool or None
         With ``correction="fit"``: whether a multiplier in [0, 4] gives the crown its on-axis mean
-        alpha from all around; if not, the nearer end is used.
+        alpha from all around; if not, the nearer end is used. Of the finest level.
     tau : float
-        Optical depth of a slice: -ln(1 - mean slice alpha inside the silhouette).
+        Optical depth of a slice: -ln(1 - mean slice alpha inside the silhouette). Of the finest
+        level, and the mean of branches.
+    levels : list of SlicingLevel
+        The levels of detail, the finest first.
     large_leaf_count : int
-        Leaves longer than the spacing, summed over slicings.
+        Leaves longer than the finest level's spacing, summed over slicings.
+    part_count : int
+        Crowns with slicings of their own: 1, or branches.
     baked : list of bool
-        Which slicings were baked.
+        Which slicings can be drawn, those that mirror another one among them.
     """
 
     name: ClassVar[str] = "slicings"
@@ -61,9 +99,11 @@ class Slicings(Technique):
         measured: Mapping[str, Any],
     ) -> None:
         super().__init__(core, params, build_secs)
-        self.m: float | None = measured["m"]
-        self.fitted: bool | None = measured["fitted"]
-        self.tau: float = measured["tau"]
+        self.levels = [SlicingLevel(**level) for level in measured["levels"]]
+        self.m = self.levels[0].m
+        self.fitted = self.levels[0].fitted
+        self.tau = self.levels[0].tau
+        self.part_count: int = measured["part_count"]
         self.large_leaf_count: int = measured["large_leaf_count"]
         self.baked: list[bool] = measured["baked"]
 
@@ -73,12 +113,20 @@ class Slicings(Technique):
         plant: Plant,
         *,
         slicing_count: int = 6,
-        slice_count: int = 5,
+        slice_count: int | Sequence[int] = 5,
+        level_error_px: float = 1.0,
+        level_distances: float | Sequence[float] | None = None,
         resolution: int | tuple[int, int] = 256,
         samples: int = 16,
         correction: float | Literal["fit", "optical"] = 0.5,
         large_leaves: Literal["split", "mesh"] = "split",
         orientations: Literal["circle", "sphere"] | ArrayLike = "circle",
+        vertical: bool = False,
+        mirrored: bool = False,
+        drop_back: int = 0,
+        sub_slices: int = 1,
+        quadtree: int | None = None,
+        branch_level: int | None = None,
         format: TextureFormat = "rgba8",  # noqa: A002
         views: Sequence[Camera] | None = None,
         wood: bool = True,
@@ -96,9 +144,15 @@ class Slicings(Technique):
         slicing_count : int, default 6
             Directions from which slices are baked, in 1..=4096. Ignored where `orientations` is an
             array.
-        slice_count : int, default 5
+        slice_count : int or sequence of int, default 5
             Parallel slices of each slicing, in 1..=4096. A crown without depth along a direction
-            has one.
+            has one. Several numbers, which must fall, are levels of detail, such as ``(5, 3, 1)``.
+        level_error_px : float, default 1.0
+            A level is shown where its slices seem no farther from the leaves than so many pixels,
+            at the crown's near side and seen at the worst angle; at least 0.
+        level_distances : float or sequence of float, optional
+            Distances of the eye from the crown's centre, in crown radii, at which each level
+            becomes the next: rising, one less than levels. Then `level_error_px` does not count.
         resolution : int or (int, int), default 256
             Texels of a slice, width and height, each in 1..=16384.
         samples : int, default 16
@@ -115,6 +169,24 @@ class Slicings(Technique):
             Directions from the crown to the viewer: evenly on the horizontal circle, evenly on the
             sphere (at least 4), or given. Given directions must all be horizontal, or surround the
             plant; a single one may point anywhere.
+        vertical : bool, default False
+            Whether a slicing that faces up is blended with the others as the eye rises above the
+            horizon or sinks below it. For orientations that are all horizontal.
+        mirrored : bool, default False
+            Whether a slicing shares the textures of its opposite, seen from behind.
+        drop_back : int, default 0
+            How many of the rearmost slices of each slicing are not drawn, in 0..slice_count. The
+            nearest slice always is.
+        sub_slices : int, default 1
+            Cells along each side of a slice, in 1..=64, each of which is blended by the angle at
+            which it is seen itself.
+        quadtree : int, optional
+            Texels of a side of the smallest squares that textures are kept in, a power of two in
+            8..=1024; empty squares are neither stored nor drawn. Default: textures are whole.
+        branch_level : int, optional
+            Generation of the branches that get one slicing each, across the direction in which they
+            are flattest: 1 are those that grow from the trunk. For grown plants, whose branches are
+            known; `slicing_count` and `orientations` do not count then. Default: one crown.
         format : {'rgba8', 'rgb5a1', 'rgb8', 'palette8', 'bc1', 'bc3', 'bc7'}, default 'rgba8'
             How texels are stored, and so what is drawn of them; see `TextureFormat`.
         views : sequence of Camera, optional
@@ -162,34 +234,43 @@ class Slicings(Technique):
         directions, triangles = _directions(orientations, slicing_count)
         wood_params = wood_facts(wood=wood, wood_triangle_count=wood_triangle_count)
         facts = None if views is None else [camera_facts(camera) for camera in views]
+        counts = whole_numbers("slice_count", slice_count)
+        shared = {
+            "level_error_px": number("level_error_px", level_error_px),
+            "level_distances": (
+                None if level_distances is None else numbers("level_distances", level_distances)
+            ),
+            "resolution": (width, height),
+            "samples": whole("samples", samples),
+            "correction": correction if isinstance(correction, str) else float(correction),
+            "large_leaves": text("large_leaves", large_leaves),
+            "vertical": flag("vertical", vertical),
+            "mirrored": flag("mirrored", mirrored),
+            "drop_back": whole("drop_back", drop_back, 0),
+            "sub_slices": whole("sub_slices", sub_slices),
+            "quadtree": None if quadtree is None else whole("quadtree", quadtree),
+            "branch_level": None
+            if branch_level is None
+            else whole("branch_level", branch_level, 0),
+            "format": text("format", format),
+            **wood_params,
+        }
         start = time.perf_counter()
         core, measured = _core.slicings(
             core_of(plant),
             directions,
             triangles,
-            slice_count=whole("slice_count", slice_count),
-            resolution=(width, height),
-            samples=whole("samples", samples),
-            correction=correction if isinstance(correction, str) else float(correction),
-            large_leaves=large_leaves,
-            format=format,
-            views=facts,
+            shared | {"slice_counts": counts, "views": facts},
             threads=thread_count(threads),
             progress=progress,
-            **wood_params,
         )
         secs = time.perf_counter() - start
         params = {
             "slicing_count": len(directions),
-            "slice_count": slice_count,
-            "resolution": (width, height),
-            "samples": samples,
-            "correction": correction,
-            "large_leaves": large_leaves,
+            "slice_count": tuple(counts) if is_many(slice_count) else counts[0],
             "orientations": orientations if isinstance(orientations, str) else directions.tolist(),
-            "format": format,
+            **shared,
             "views": None if views is None else len(views),
-            **wood_params,
         }
         return cls(core, params, secs, measured)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeGuard
 
 import numpy as np
 
@@ -23,10 +23,13 @@ __all__ = [
     "TextureFormat",
     "core_of",
     "flag",
+    "is_many",
     "number",
+    "numbers",
     "resolution_texels",
     "text",
     "whole",
+    "whole_numbers",
     "wood_facts",
 ]
 
@@ -235,6 +238,79 @@ def number(name: str, value: float) -> float:
     except (TypeError, ValueError):
         msg = f"{name} must be a number, got {value!r}"
         raise TypeError(msg) from None
+
+
+def is_many(value: object) -> TypeGuard[Sequence[Any]]:
+    """
+    Whether an argument that may be one number or several is several.
+
+    Parameters
+    ----------
+    value : object
+        What was given.
+
+    Returns
+    -------
+    bool
+    """
+    return isinstance(value, Sequence | np.ndarray)
+
+
+def whole_numbers(name: str, value: int | Sequence[int]) -> list[int]:
+    """
+    Return one whole number of at least 1, or several, as a list.
+
+    Parameters
+    ----------
+    name : str
+        The argument, for the message.
+    value : int or sequence of int
+        Each as in `whole`.
+
+    Returns
+    -------
+    list of int
+
+    Raises
+    ------
+    TypeError
+        If it is anything else.
+    ValueError
+        If a number is out of range.
+    """
+    if isinstance(value, str):
+        msg = f"{name} must be a number or a sequence of numbers, got {value!r}"
+        raise TypeError(msg)
+    if is_many(value):
+        return [whole(name, count) for count in value]
+    return [whole(name, value)]  # type: ignore[arg-type]
+
+
+def numbers(name: str, value: float | Sequence[float]) -> list[float]:
+    """
+    Return one number, or several, as a list.
+
+    Parameters
+    ----------
+    name : str
+        The argument, for the message.
+    value : float or sequence of float
+        Any numbers.
+
+    Returns
+    -------
+    list of float
+
+    Raises
+    ------
+    ValueError
+        If it is anything else.
+    """
+    given = np.asarray(value)
+    if given.ndim > 1 or given.dtype.kind not in "iuf":
+        msg = f"{name} must be a number or a sequence of numbers, got {value!r}"
+        raise ValueError(msg)
+    return [float(each) for each in np.atleast_1d(given)]
 
 
 def core_of(plant: object) -> _core.Plant:

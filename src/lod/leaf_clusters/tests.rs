@@ -5,13 +5,13 @@ use glam::{DAffine3, DQuat, DVec3, Vec3, Vec4};
 use super::cards::between;
 use super::indirect::Indirect;
 use super::kmeans::Init;
-use super::level_rule::LevelRule;
 use super::plane::{Eigen, Plane};
 use super::{Alpha, Drawing, Flatten, LeafClusters, Outline, Params, Texels, Transition};
 use crate::draw_list::{Blend, DrawList, Source, Surface};
 use crate::error::LodError;
 use crate::job::Job;
 use crate::lod::full_mesh::FullMesh;
+use crate::lod::level_rule::LevelRule;
 use crate::lod::made::{
     Leaf, cameras, crown_at, crowns, draw, emit, facing, from_azimuth, parallel, perspective,
     plant, plant_at, random_crown,

@@ -4,18 +4,20 @@ use std::collections::BTreeMap;
 
 use glam::{DAffine3, DQuat, DVec3, Vec3, Vec4};
 
-use super::opacity::Opacity;
-use super::slabs::Layout;
 use super::{Correction, LargeLeaves, Measured, Params, Slicings};
 use crate::draw_list::{Blend, DrawList};
 use crate::error::LodError;
 use crate::job::Job;
 use crate::lod::full_mesh::FullMesh;
 use crate::lod::leaves::{Leaves, Placed};
+use crate::lod::level_rule::LevelRule;
 use crate::lod::made::{
     Leaf, cameras, crown_at, crowns, draw, emit, facing, from_azimuth, parallel, perspective,
     plant, plant_at, random_crown,
 };
+use crate::lod::opacity::{Opacity, all_around};
+use crate::lod::slabs::{Assignment, Cut, Layout};
+use crate::lod::stack::Baked;
 use crate::lod::view_blend::{ViewBlend, circle};
 use crate::lod::wood::Wood;
 use crate::lod::{Footprint, ListBuilder, Representation};
@@ -24,37 +26,57 @@ use crate::texture::{Filter, Format};
 use crate::view::View;
 use crate::view_state::ViewState;
 
-fn params(slicing_count: usize, slice_count: usize, side: u32) -> Params {
+pub(super) fn params(slicing_count: usize, slice_count: usize, side: u32) -> Params {
     Params {
         blend: ViewBlend::new(&circle(slicing_count), None).expect("even"),
-        slice_count,
+        slice_counts: vec![slice_count],
+        rule: LevelRule::Pixels(1.0),
         resolution: (side, side),
         sample_count: 1,
         correction: Correction::Linear(0.5),
         large_leaves: LargeLeaves::Split,
+        drop_back: 0,
+        mirrored: false,
+        sub_slices: 1,
+        quadtree: None,
+        branch_level: None,
         format: Format::Rgba8,
         wood: Wood::Full,
         views: None,
     }
 }
 
-fn build(plant: &Plant, params: &Params) -> (Slicings, Measured) {
+pub(super) fn build(plant: &Plant, params: &Params) -> (Slicings, Measured) {
     Slicings::build(plant, params, &Job::default()).expect("valid")
 }
 
+/// Slicing, slice, and what was baked for it.
+pub(super) fn baked_slices(lod: &Slicings) -> impl Iterator<Item = (usize, usize, &Baked)> {
+    let stacks = lod.parts[0].levels[0].stacks.iter().enumerate();
+    let stacks = stacks.filter_map(|(number, stack)| Some((number, stack.as_ref()?)));
+    stacks.flat_map(|(number, stack)| stack.baked().map(move |(index, b)| (number, index, b)))
+}
+
+fn assign(layout: Layout, leaves: &Leaves<'_>, in_mesh: &[bool]) -> Assignment {
+    layout.assign(leaves, layout.rect(leaves), Cut::Large, |leaf| in_mesh[leaf])
+}
+
 /// Slicing and slice of every card of a list, in paint order.
-fn cards(lod: &Slicings, list: &DrawList) -> Vec<(usize, usize)> {
-    let places: BTreeMap<u32, (usize, usize)> =
-        lod.baked_slices().map(|(number, index, baked)| (baked.card, (number, index))).collect();
+pub(super) fn cards(lod: &Slicings, list: &DrawList) -> Vec<(usize, usize)> {
+    let places: BTreeMap<u32, (usize, usize)> = baked_slices(lod)
+        .map(|(number, index, baked)| (baked.tiles[0].cards.start, (number, index)))
+        .collect();
     let blended = list.items.iter().filter(|item| item.blend == Blend::Over);
     blended.map(|item| places[&item.primitives.start]).collect()
 }
 
 /// Alphas of a slicing's slices, each 0 to 255, at the finest level.
-fn alphas(lod: &Slicings, slicing: usize) -> Vec<Vec<u8>> {
-    lod.baked_slices()
+pub(super) fn alphas(lod: &Slicings, slicing: usize) -> Vec<Vec<u8>> {
+    baked_slices(lod)
         .filter(|&(number, ..)| number == slicing)
-        .map(|(_, _, baked)| baked.texture.levels()[0].texels.iter().map(|t| t[3]).collect())
+        .map(|(_, _, baked)| {
+            baked.tiles[0].texture.levels()[0].texels.iter().map(|t| t[3]).collect()
+        })
         .collect()
 }
 
@@ -92,7 +114,7 @@ fn slabs_share_their_borders_to_the_bit() {
     for count in [1, 2, 3, 5, 7, 64] {
         for toward in circle(7) {
             let layout = Layout::new(toward, &crowned.leaf_centers, count, crowned.radius);
-            let assignment = layout.assign(&crowned, &[false; 2]);
+            let assignment = assign(layout, &crowned, &[false; 2]);
             assert_eq!(layout.slab(0).0, f64::NEG_INFINITY, "{count}: the first is open");
             assert_eq!(layout.slab(count - 1).1, f64::INFINITY, "{count}: so is the last");
             assert_eq!(assignment.slab(0)[1], f32::INFINITY, "{count}: any depth");
@@ -112,7 +134,7 @@ fn slabs_share_their_borders_to_the_bit() {
 fn a_crown_without_depth_is_one_slice() {
     let sheet = [facing(0.0, 0.0, 0.0, 0.1), facing(1.0, 0.0, 0.0, 0.1)];
     let (lod, _) = build(&plant(&sheet), &params(4, 5, 8));
-    let counts: Vec<usize> = lod.slicings.iter().flatten().map(Vec::len).collect();
+    let counts: Vec<usize> = lod.parts[0].stacks().map(|stack| stack.slices.len()).collect();
     assert_eq!(counts, [1, 5, 1, 5], "flat as seen along z, deep along x");
     // nothing is cut where there is nothing to cut between
     let deep = [facing(0.0, 0.0, 0.0, 0.1), (Vec3::X, Vec3::Z * 9.0, Vec3::Y * 0.1)];
@@ -133,13 +155,13 @@ fn leaves_are_large_above_the_spacing() {
     assert_eq!(layout.spacing, 1.0, "5 m of centres");
     let large: Vec<bool> = (0..4).map(|leaf| layout.is_large(&crowned, leaf)).collect();
     assert_eq!(large, [false, false, false, true], "only what is longer");
-    let leaves = layout.assign(&crowned, &[false; 4]).leaves;
+    let leaves = assign(layout, &crowned, &[false; 4]).leaves;
     let whole = |leaf| Placed { leaf, cut: false };
     let cut = |leaf| Placed { leaf, cut: true };
     // the long one reaches from -0.35 to 0.85, over the border at 0.5
     let expected = [vec![whole(0)], vec![], vec![whole(2), cut(3)], vec![cut(3)], vec![whole(1)]];
     assert_eq!(leaves, expected, "cut leaves go to every slab that they reach");
-    let leaves = layout.assign(&crowned, &[false, false, false, true]).leaves;
+    let leaves = assign(layout, &crowned, &[false, false, false, true]).leaves;
     assert_eq!(leaves[2..4], [vec![whole(2)], vec![]], "left out");
 }
 
@@ -196,7 +218,7 @@ fn the_baked_picture_has_the_leaves_size() {
     let ends = [facing(-1.9, -0.9, -1.0, 0.1), facing(1.9, 0.9, 1.0, 0.1)];
     let crown = plant(&[leaf, ends[0], ends[1]]);
     let (lod, _) = build(&crown, &Params { resolution: (40, 20), ..params(1, 2, 1) });
-    let (_, _, baked) = lod.baked_slices().next().expect("the lower slice");
+    let (_, _, baked) = baked_slices(&lod).next().expect("the lower slice");
     assert_eq!((baked.rect.width, baked.rect.height), (4.0, 2.0), "encloses every vertex");
     assert_eq!(baked.rect.center, DVec3::Z * -0.5, "the lower of two planes");
     let alpha = |slice: usize, x: usize, y: usize| alphas(&lod, 0)[slice][y * 40 + x];
@@ -274,10 +296,13 @@ fn tau_is_the_depth_of_the_mean_alpha_inside_the_silhouette() {
     let right = (Vec3::new(1.0, 0.0, 1.0), Vec3::X * 0.3, Vec3::Y * 0.3);
     let (_, measured) = build(&plant(&[left(-1.0), left(1.0), right]), &params(1, 2, 8));
     let mean: f64 = (32.0 + 36.0) / (2.0 * 36.0);
-    assert!((measured.tau + libm::log1p(-mean)).abs() < 1e-9, "{measured:?}");
+    assert!((measured.levels[0].tau + libm::log1p(-mean)).abs() < 1e-9, "{measured:?}");
     let sheet = plant(&[(Vec3::ZERO, Vec3::X, Vec3::Y)]);
     let (_, measured) = build(&sheet, &params(1, 1, 8));
-    assert!(measured.tau > 20.0 && measured.tau.is_finite(), "no hole: {measured:?}");
+    assert!(
+        measured.levels[0].tau > 20.0 && measured.levels[0].tau.is_finite(),
+        "no hole: {measured:?}"
+    );
 }
 
 #[test]
@@ -287,16 +312,24 @@ fn a_fit_is_as_opaque_from_all_around_as_on_its_axes() {
     let job = Job::default();
     let (fitted, measured) = build(&crown, &with(Correction::Fit));
     let (plain, _) = build(&crown, &with(Correction::Linear(0.0)));
-    assert_eq!(measured.fitted, Some(true), "{measured:?}");
-    let mean = |lod: &Slicings, over: &[DVec3]| lod.mean_alpha(over, &job).expect("valid");
-    let wanted = mean(&plain, plain.blend.directions());
-    let (before, after) = (mean(&plain, &plain.all_around()), mean(&fitted, &fitted.all_around()));
+    assert_eq!(measured.levels[0].fitted, Some(true), "{measured:?}");
+    let mean = |lod: &Slicings, over: &[DVec3]| {
+        let law = lod.parts[0].levels[0].opacity;
+        lod.parts[0].mean_alpha((0, law), &lod.cards, over, &job).expect("valid")
+    };
+    let around = all_around(true);
+    let wanted = mean(&plain, &circle(4));
+    let (before, after) = (mean(&plain, &around), mean(&fitted, &around));
     assert!(before < 0.95 * wanted, "too thin between the axes: {before} for {wanted}");
     // m is within 1e-3 of the root, and alpha changes by less than m does
     assert!((after - wanted).abs() < 1e-3 * wanted, "{after} for {wanted}");
     // one slicing cannot be opaque from its side, whatever m
     let (_, measured) = build(&crown, &Params { correction: Correction::Fit, ..params(1, 3, 16) });
-    assert_eq!((measured.fitted, measured.m), (Some(false), Some(0.0)), "the nearer end");
+    assert_eq!(
+        (measured.levels[0].fitted, measured.levels[0].m),
+        (Some(false), Some(0.0)),
+        "the nearer end"
+    );
 }
 
 #[test]
@@ -402,14 +435,14 @@ fn stored_bytes_are_those_of_the_format() {
 fn levels_of_a_slice_keep_its_mean_alpha() {
     let with = Params { sample_count: 16, ..params(3, 3, 48) };
     let (lod, _) = build(&plant(&random_crown(200)), &with);
-    for (number, index, baked) in lod.baked_slices() {
+    for (number, index, baked) in baked_slices(&lod) {
         let mean = |level: &crate::texture::Image| {
             let sum: f64 = level.texels.iter().map(|texel| f64::from(texel[3])).sum();
             sum / (255.0 * level.texels.len() as f64)
         };
-        let base = mean(&baked.texture.levels()[0]);
+        let base = mean(&baked.tiles[0].texture.levels()[0]);
         assert!(base > 0.01, "slicing {number}, slice {index} shows something: {base}");
-        for (level, image) in baked.texture.levels().iter().enumerate() {
+        for (level, image) in baked.tiles[0].texture.levels().iter().enumerate() {
             // each level is rounded to 8 bits from unrounded sums
             let miss = (mean(image) - base).abs();
             assert!(miss <= 0.5 / 255.0, "slicing {number}, slice {index}, level {level}: {miss}");
@@ -425,12 +458,12 @@ fn views_bake_what_they_show_and_no_more() {
     let (lod, _) = build(&crown, &narrow);
     assert_eq!(lod.baked(), [true, true, false, false, false, false], "a pair");
     // the nearest point of the crown's ball is at 9 m - R; 24 rows show 2 tan(0.5) m at 1 m
-    let nearest = 9.0 - lod.radius;
+    let nearest = 9.0 - lod.parts[0].radius;
     let per_metre = 24.0 / (2.0 * libm::tan(0.5) * nearest);
-    for (_, _, baked) in lod.baked_slices() {
+    for (_, _, baked) in baked_slices(&lod) {
         let side = |metres: f64| (per_metre * metres).ceil();
         let wanted = (side(baked.rect.width), side(baked.rect.height));
-        let (width, height) = baked.texture.size();
+        let (width, height) = baked.tiles[0].texture.size();
         let found = (f64::from(width), f64::from(height));
         assert_eq!(found, wanted, "a texel for each pixel of the nearest view");
         assert!(width < 64 && height < 64, "fewer than asked for");
@@ -453,7 +486,10 @@ fn views_bake_what_they_show_and_no_more() {
     let close = perspective(from_azimuth(20.0) * 2.5, DVec3::ZERO, DVec3::Y);
     let capped = Params { views: Some(vec![view, close.clone()]), ..params(6, 3, 8) };
     let (few, _) = build(&crown, &capped);
-    assert!(few.baked_slices().all(|(_, _, baked)| baked.texture.size() == (8, 8)), "capped");
+    assert!(
+        baked_slices(&few).all(|(_, _, baked)| baked.tiles[0].texture.size() == (8, 8)),
+        "capped"
+    );
     let (all, _) = build(&crown, &Params { resolution: (8, 8), ..everywhere });
     assert_eq!(draw(&few, &close).color, draw(&all, &close).color, "the same picture");
     for (views, name) in [(vec![], "views"), (vec![close], "correction")] {
@@ -471,7 +507,7 @@ fn an_eye_at_the_centre_counts_as_looking_from_behind_itself() {
         let list = emit(&lod, &view, &[crown_at(DAffine3::IDENTITY, 0)]);
         cards(&lod, &list).last().map(|card| card.0)
     };
-    let aside = from_azimuth(180.0) * lod.radius;
+    let aside = from_azimuth(180.0) * lod.parts[0].radius;
     assert_eq!(primary(aside * 0.9e-3), Some(1), "70 degrees: the viewing direction");
     assert_eq!(primary(aside * 1.1e-3), Some(3), "180 degrees: where it stands");
 }
@@ -484,7 +520,7 @@ fn far_away_cards_are_read_through_their_levels() {
         .collect();
     stripes.extend([-31.5, 31.5].map(|x| (Vec3::X * x, Vec3::X * 0.5, Vec3::ZERO)));
     let (lod, _) = build(&plant(&stripes), &params(1, 1, 64));
-    let (_, _, baked) = lod.baked_slices().next().expect("one slice");
+    let (_, _, baked) = baked_slices(&lod).next().expect("one slice");
     assert_eq!((baked.rect.width, baked.rect.height), (64.0, 64.0), "a metre a texel");
     let view = parallel(DVec3::Z, DVec3::Y, 64.0, 5);
     for pixel in draw(&lod, &view).color {
@@ -517,11 +553,17 @@ fn every_awkward_crown_and_camera_gives_a_picture() {
                 let (lod, measured) = built.unwrap_or_else(|error| panic!("{what}: {error}"));
                 let (done, total) = job.progress();
                 assert_eq!(done, total, "{what}: all steps that were announced");
-                assert!(measured.tau.is_finite() && measured.tau >= 0.0, "{what}: {measured:?}");
+                assert!(
+                    measured.levels[0].tau.is_finite() && measured.levels[0].tau >= 0.0,
+                    "{what}: {measured:?}"
+                );
                 let (low, high) = lod.bounds();
                 assert!(low.is_finite() && high.is_finite(), "{what}: {low} to {high}");
                 if correction == Correction::Fit {
-                    assert!(measured.m.is_some_and(|m| (0.0..=4.0).contains(&m)), "{what}");
+                    assert!(
+                        measured.levels[0].m.is_some_and(|m| (0.0..=4.0).contains(&m)),
+                        "{what}"
+                    );
                     continue;
                 }
                 for (camera, view) in cameras() {
@@ -591,11 +633,11 @@ fn bad_parameters_are_refused_by_name() {
     };
     let good = || params(2, 2, 8);
     let cases = [
-        ("slice_count", Params { slice_count: 0, ..good() }),
-        ("slice_count", Params { slice_count: 5000, ..good() }),
+        ("slice_count", Params { slice_counts: vec![0], ..good() }),
+        ("slice_count", Params { slice_counts: vec![5000], ..good() }),
         ("resolution", Params { resolution: (0, 8), ..good() }),
         ("resolution", Params { resolution: (8, 1_000_000), ..good() }),
-        ("resolution", Params { slice_count: 4096, resolution: (4096, 4096), ..good() }),
+        ("resolution", Params { slice_counts: vec![4096], resolution: (4096, 4096), ..good() }),
         ("samples", Params { sample_count: 2, ..good() }),
         ("samples", Params { sample_count: 0, ..good() }),
         ("correction", Params { correction: Correction::Linear(-0.1), ..good() }),
@@ -626,8 +668,8 @@ fn blended_leaves_are_baked_far_to_near() {
         mesh.front[vertex] = if vertex < 4 { Vec3::X } else { Vec3::Y };
     }
     let (lod, _) = build(&crown, &params(1, 1, 4));
-    let (_, _, baked) = lod.baked_slices().next().expect("one slice");
-    let [red, green, _, alpha] = baked.texture.levels()[0].texel(1, 1);
+    let (_, _, baked) = baked_slices(&lod).next().expect("one slice");
+    let [red, green, _, alpha] = baked.tiles[0].texture.levels()[0].texel(1, 1);
     assert_eq!(alpha, 191, "0.75 of 255");
     assert!(red > green, "the nearer one on top: {red} to {green}");
 }

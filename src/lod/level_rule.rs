@@ -1,8 +1,11 @@
-//! Which level of a hierarchy a view shows, and how far it is on its way to the next.
+//! Which level of detail a view shows, and how far it is on its way to the next.
 //!
-//! At level `i` a share `t` of 0 shows its cards where they belong; as `t` rises to 1 they move into
-//! the planes of level `i + 1`, which then takes over.
+//! A technique may show level `i` as it is until level `i + 1` takes over, or lead from the one to the
+//! other as the share `t` rises from 0 to 1.
 
+use glam::DVec3;
+
+use crate::error::{LodError, check_in};
 use crate::lod::Crown;
 use crate::view::View;
 
@@ -27,18 +30,40 @@ pub struct Choice {
 }
 
 /// What a rule measures a view by.
-pub(super) struct Seen<'a> {
-    pub(super) view: &'a View,
-    pub(super) crown: &'a Crown,
+pub(crate) struct Seen<'a> {
+    pub(crate) view: &'a View,
+    pub(crate) crown: &'a Crown,
     /// Eye to the crown's centre over the crown's radius; depth in parallel views.
-    pub(super) distance_rel: f64,
+    pub(crate) distance_rel: f64,
     /// Crown's radius, in the crown's own metres.
-    pub(super) radius: f64,
+    pub(crate) radius: f64,
 }
 
 impl LevelRule {
+    /// Checks the numbers for a number of levels.
+    ///
+    /// # Errors
+    /// `level_error_px` below 0, or `level_distances` that do not rise or are not one less than levels.
+    pub(crate) fn check(&self, level_count: usize) -> Result<(), LodError> {
+        let distances = match self {
+            Self::Fixed(_) => return Ok(()),
+            Self::Pixels(error_px) => return check_in("level_error_px", *error_px, 0.0..=1e9),
+            Self::Distances(distances) => distances,
+        };
+        let rising = distances.windows(2).all(|pair| pair[0] < pair[1]);
+        let positive = distances.iter().all(|&far| far > 0.0 && far.is_finite());
+        if distances.len() + 1 == level_count && rising && positive {
+            return Ok(());
+        }
+        let why = format!(
+            "{level_count} levels change at {} rising distances, got {distances:?}",
+            level_count - 1
+        );
+        Err(LodError::Invalid { name: "level_distances", why })
+    }
+
     /// The level of a view; `errors` are those of the levels in metres, and never fall.
-    pub(super) fn choose(&self, errors: &[f64], seen: &Seen<'_>) -> Choice {
+    pub(crate) fn choose(&self, errors: &[f64], seen: &Seen<'_>) -> Choice {
         match self {
             Self::Fixed(choice) => *choice,
             Self::Pixels(error_px) => between(errors, error_px * seen.pixel_size()),
@@ -54,18 +79,26 @@ impl LevelRule {
     }
 }
 
-impl Seen<'_> {
+impl<'a> Seen<'a> {
+    /// A crown of a centre and a radius in its own coordinates, as a view sees it.
+    pub(crate) fn new(view: &'a View, crown: &'a Crown, center: DVec3, radius: f64) -> Self {
+        let distance = if view.is_orthographic() {
+            let depth = view.view_from_world(crown.world_from_local.transform_point3(center)).z;
+            depth / crown.scale()
+        } else {
+            (crown.local_eye(view) - center).length()
+        };
+        // a crown that is a point is seen from afar
+        let distance_rel = if radius > 0.0 { distance / radius } else { f64::INFINITY };
+        Self { view, crown, distance_rel, radius }
+    }
+
     /// Of a pixel, in the crown's own metres, where the crown is nearest.
-    fn pixel_size(&self) -> f64 {
-        let scale = scale(self.crown);
+    pub(crate) fn pixel_size(&self) -> f64 {
+        let scale = self.crown.scale();
         let depth = ((self.distance_rel - 1.0) * self.radius * scale).max(self.view.near);
         self.view.pixel_size_at(depth) / scale
     }
-}
-
-/// How much larger a copy is than the crown itself, in the mean of all directions.
-pub(super) fn scale(crown: &Crown) -> f64 {
-    libm::cbrt(crown.world_from_local.matrix3.determinant().abs())
 }
 
 /// The last level with an error of at most `allowed`, and how far `allowed` is towards the next.
