@@ -4,7 +4,9 @@ pub mod foliage;
 pub mod grow;
 pub mod leaf_rectangle;
 pub mod lighting;
+pub mod limbs;
 pub mod mesh;
+pub(crate) mod near_points;
 pub mod normals;
 pub mod occlusion;
 #[expect(clippy::module_inception, reason = "the file is named for the type it holds")]
