@@ -228,10 +228,14 @@ pub trait Representation: Debug + Send + Sync {
         DVec3::new((low.x + high.x) * 0.5, low.y, (low.z + high.z) * 0.5)
     }
 
-    /// Whether it moves in the wind by itself, rather than being sheared as a whole. No part of it may
-    /// move farther than the top of its box would when sheared.
+    /// Whether it moves in the wind by itself, rather than being sheared as a whole.
     fn sways(&self) -> bool {
         false
+    }
+
+    /// Metres that a wind whose reach is 1 moves any part of it, at most: as far as its top is sheared.
+    fn sway_reach(&self) -> f64 {
+        self.bounds().1.y - self.foot().y
     }
 
     /// World position of local zero when the plant stands where its file put it.

@@ -124,9 +124,11 @@ impl Scene {
             let (mut low, mut high) = group.representation.bounds();
             let foot = group.representation.foot();
             if let Some(wind) = self.wind {
-                let sideways = wind.reach() * (high.y - foot.y);
-                low -= DVec3::new(sideways, 0.0, sideways);
-                high += DVec3::new(sideways, 0.0, sideways);
+                let far = wind.reach() * group.representation.sway_reach();
+                // a shear is level
+                let upwards = if group.representation.sways() { far } else { 0.0 };
+                low -= DVec3::new(far, upwards, far);
+                high += DVec3::new(far, upwards, far);
             }
             let copies = (0..).zip(&group.placements);
             copies.map(move |(index, _)| {
@@ -161,7 +163,9 @@ impl Scene {
                 let (mut placement, tint) = self.copy(group, foot, key);
                 let mut radius = radius;
                 match wind {
-                    Some(gust) if sways => radius += gust.wind.reach() * (high.y - foot.y),
+                    Some(gust) if sways => {
+                        radius += gust.wind.reach() * group.representation.sway_reach();
+                    }
                     Some(gust) => placement = placement * gust.shear(view, &placement, foot),
                     None => {}
                 }
