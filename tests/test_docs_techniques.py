@@ -47,12 +47,14 @@ QUICK = {
     "slicings": {"slicing_count": 2, "slice_count": 2, "resolution": 8},
     "leaf_clusters": {"cluster_count": 2, "resolution": 8},
     "orthogonal_slices": {"slice_count": 2, "resolution": 8},
+    "layered_billboards": {"layer_count": 2, "resolution": 8},
 }
 """So that what is not refused is built at once."""
 
 WHERE_IT_COUNTS = {
     "With indirect texturing": {"texturing": "indirect", "leaf_resolution": 8, "rotation_count": 2},
     "With 'attributes'": {"method": "attributes"},
+    "With 'viewer'": {"turn": "viewer"},
 }
 """What a docstring says of a parameter that is looked at only then."""
 

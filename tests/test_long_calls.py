@@ -77,6 +77,18 @@ LONG_CALLS = {
         "",
         "tl.LeafClusters.build(plant, cluster_count=(128, 64), resolution=256, samples=256)",
     ),
+    "bake layers": (
+        "",
+        "tl.LayeredBillboards.build(plant, groups='slabs', resolution=1024, samples=256)",
+    ),
+    "guess limbs": (
+        "wood = plant.wood\n"
+        "copies = np.arange(400)[:, np.newaxis, np.newaxis]\n"
+        "places = (wood.positions + copies * (8.0, 0.0, 0.0)).reshape(-1, 3)\n"
+        "tris = (wood.triangles + copies * len(wood.positions)).reshape(-1, 3)\n"
+        "plant = tl.Plant.from_arrays(wood={'positions': places, 'triangles': tris})",
+        "[tl.LayeredBillboards.build(plant, resolution=8) for _ in range(20)]",
+    ),
     "map leaves": (
         "plant = tl.grow_plant('chestnut', leaf_count=6000)",
         "tl.LeafClusters.build(plant, cluster_count=1, texturing='indirect', texels_per_leaf=32)",

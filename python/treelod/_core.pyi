@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 __all__ = [
     "Billboard",
     "FoliageHierarchy",
+    "LayeredBillboards",
     "LeafClusters",
     "Plant",
     "PointsAndLines",
@@ -29,6 +30,7 @@ __all__ = [
     "foliage_hierarchy",
     "full_mesh",
     "grow",
+    "layered_billboards",
     "leaf_clusters",
     "orthogonal_slices",
     "peak_rate",
@@ -349,6 +351,55 @@ def points_and_lines(
     threads: int | None,
     progress: Callable[[int, int], object] | None,
 ) -> PointsAndLines: ...
+
+class _LayerFacts(TypedDict):
+    direction: tuple[float, float, float]
+    groups: str
+    layer_count: int
+    tilt: bool
+    turn: str
+    max_turn_deg: float
+    motion: str
+    growth: float
+    drawing: str
+    resolution: int
+    samples: int
+    format: str
+    wood: bool
+    wood_triangle_count: int | None
+    wood_as: str
+    views: Sequence[_CameraFacts] | None
+
+@final
+class LayeredBillboards:
+    def representation(self) -> Representation: ...
+    @property
+    def layers(
+        self,
+    ) -> list[
+        tuple[
+            str,
+            int | None,
+            list[float],
+            list[list[float]] | None,
+            tuple[int, int, int, int] | None,
+            int,
+            int,
+        ]
+    ]: ...
+    @property
+    def atlas_fill(self) -> float: ...
+    def poses(
+        self, camera: _CameraFacts, *, wind: _WindFacts | None, copy: tuple[int, int]
+    ) -> NDArray[np.float64]: ...
+
+def layered_billboards(
+    plant: Plant,
+    facts: _LayerFacts,
+    *,
+    threads: int | None,
+    progress: Callable[[int, int], object] | None,
+) -> LayeredBillboards: ...
 
 @final
 class StochasticPruning:

@@ -7,6 +7,7 @@ pub mod cloud;
 pub mod eigen;
 pub mod foliage_hierarchy;
 pub mod full_mesh;
+pub mod layered_billboards;
 pub mod leaf_clusters;
 pub mod orthogonal_slices;
 pub mod points_and_lines;

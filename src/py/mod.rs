@@ -11,6 +11,7 @@ mod collapse;
 mod criteria;
 mod foliage_hierarchy;
 mod grow;
+mod layered_billboards;
 mod leaf_clusters;
 mod lod;
 mod orthogonal_slices;
@@ -102,6 +103,8 @@ mod _core {
     use super::foliage_hierarchy::{FoliageHierarchy, foliage_hierarchy, stored_hierarchy};
     #[pymodule_export]
     use super::grow::{grow, preset_names};
+    #[pymodule_export]
+    use super::layered_billboards::{LayeredBillboards, layered_billboards};
     #[pymodule_export]
     use super::leaf_clusters::{LeafClusters, leaf_clusters};
     #[pymodule_export]

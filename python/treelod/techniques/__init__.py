@@ -3,6 +3,7 @@
 from treelod.techniques.billboard import Billboard, BillboardPicture, BillboardQuad
 from treelod.techniques.foliage_hierarchy import FoliageHierarchy
 from treelod.techniques.full_mesh import FullMesh
+from treelod.techniques.layered_billboards import LayeredBillboards
 from treelod.techniques.leaf_clusters import LeafClusters
 from treelod.techniques.orthogonal_slices import OrthogonalSlices
 from treelod.techniques.points_and_lines import PointsAndLines
@@ -20,6 +21,7 @@ __all__ = [
     "FoliageHierarchy",
     "Footprint",
     "FullMesh",
+    "LayeredBillboards",
     "LeafClusters",
     "OrthogonalSlices",
     "PointsAndLines",
@@ -40,6 +42,7 @@ REGISTRY: dict[str, type[Technique]] = {
         FoliageHierarchy,
         SimplifiedMesh,
         PointsAndLines,
+        LayeredBillboards,
         StochasticPruning,
         Billboard,
     )
