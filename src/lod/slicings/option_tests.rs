@@ -220,6 +220,17 @@ fn two_opposite_slicings_that_share_are_one() {
     let (lod, _) = build(&crown, &Params { mirrored: true, ..params(2, 3, 16) });
     let list = emit(&lod, &at_distance(9.0, 60.0), &here());
     assert_eq!(opacities(&list), [1.0; 3], "both shares are those of the same slices");
+    // beside a third their shares add up: 30 degrees up that has one third
+    let blend = ViewBlend::new(&circle(2), None).and_then(ViewBlend::with_vertical);
+    let blend = blend.expect("level");
+    let correction = Correction::Linear(0.0);
+    let with = Params { mirrored: true, blend, correction, ..params(2, 1, 16) };
+    let (lod, _) = build(&crown, &with);
+    let raised = from_azimuth(60.0) * 3.0_f64.sqrt() + DVec3::Y;
+    let list = emit(&lod, &perspective(raised * 9.0, DVec3::ZERO, DVec3::Y), &here());
+    for (found, wanted) in opacities(&list).into_iter().zip([1.0 / 3.0, 2.0 / 3.0]) {
+        assert!((f64::from(found) - wanted).abs() < 1e-6, "{found}: {wanted}");
+    }
 }
 
 #[test]
@@ -250,12 +261,25 @@ fn a_vertical_slicing_is_mixed_in_from_above() {
 fn a_cell_has_the_share_of_its_own_place() {
     // two slicings at right angles, one slice each, two by two cells
     let crown = plant(&random_crown(300));
-    let with = Params { sub_slices: 2, correction: Correction::Linear(0.0), ..params(4, 1, 16) };
-    let (lod, _) = build(&crown, &with);
+    let level = ViewBlend::new(&circle(4), None).expect("even");
+    // heights count only where a slicing faces up
+    let vertical = level.clone().with_vertical().expect("level");
+    for (blend, slicing_count) in [(level, 2), (vertical, 3)] {
+        a_cell_has_the_share_of_a_blend(&crown, &blend, slicing_count);
+    }
+}
+
+fn a_cell_has_the_share_of_a_blend(crown: &Plant, blend: &ViewBlend, slicing_count: usize) {
+    let with = Params {
+        sub_slices: 2,
+        correction: Correction::Linear(0.0),
+        blend: blend.clone(),
+        ..params(4, 1, 16)
+    };
+    let (lod, _) = build(crown, &with);
     let eye = DVec3::new(0.3, 0.2, 2.5);
     let view = perspective(eye, DVec3::ZERO, DVec3::Y);
     let list = emit(&lod, &view, &here());
-    let blend = &ViewBlend::new(&circle(4), None).expect("even");
     let mut found = Vec::new();
     for item in &list.items {
         let opacity = list.instances[item.instances.start as usize].tint.w;
@@ -277,7 +301,7 @@ fn a_cell_has_the_share_of_its_own_place() {
     // cells of the slicing that faces -x see the eye on their other side, and are not drawn
     let slicings: std::collections::BTreeSet<_> =
         found.iter().map(|&(slicing, _)| slicing).collect();
-    assert_eq!(slicings.len(), 2, "{found:?}");
+    assert_eq!(slicings.len(), slicing_count, "{found:?}");
     let of_first: Vec<f32> = found
         .iter()
         .filter(|(slicing, _)| *slicing == Some(0))
