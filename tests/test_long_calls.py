@@ -83,7 +83,7 @@ LONG_CALLS = {
     ),
     "guess limbs": (
         "wood = plant.wood\n"
-        "copies = np.arange(400)[:, np.newaxis, np.newaxis]\n"
+        "copies = np.arange(40)[:, np.newaxis, np.newaxis]\n"
         "places = (wood.positions + copies * (8.0, 0.0, 0.0)).reshape(-1, 3)\n"
         "tris = (wood.triangles + copies * len(wood.positions)).reshape(-1, 3)\n"
         "plant = tl.Plant.from_arrays(wood={'positions': places, 'triangles': tris})",

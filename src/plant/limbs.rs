@@ -92,7 +92,7 @@ impl Limbs {
         if wood.is_empty() {
             return Ok(Self::default());
         }
-        let (mut wood_limbs, count) = pieces_by_area(wood, job)?;
+        let (wood_limbs, count) = pieces_by_area(wood, job)?;
         let (low, high) = wood.bounds().expect("not empty");
         let spacing = low.as_dvec3().distance(high.as_dvec3()) * SPACING;
         let limb_count = count.min(MAX_LIMB_COUNT);
@@ -107,11 +107,12 @@ impl Limbs {
                 spread(wood, triangle, limb, spacing, &mut points);
             }
         }
-        let surface = NearPoints::new(points);
-        job.check()?;
-        let ends: Vec<[End; 2]> =
-            triangles.par_iter().map(|triangles| ends(wood, triangles)).collect();
-        job.check()?;
+        let surface = NearPoints::new(points, job)?;
+        let ends: Result<Vec<[End; 2]>, LodError> = triangles
+            .par_iter()
+            .map(|triangles| job.check().map(|()| ends(wood, triangles)))
+            .collect();
+        let ends = ends?;
         let mut limbs = Self::default();
         let mut radii: Vec<f64> = Vec::new();
         for (limb, ends) in (0_u32..).zip(&ends) {
@@ -145,12 +146,10 @@ impl Limbs {
         let nearest = |place: DVec3| surface.nearest(place, any).expect("there is wood").1;
         limbs.leaf_limbs =
             job.collect(foliage.leaf_count(), |leaf| nearest(foliage.centers[leaf].as_dvec3()))?;
-        wood_limbs.par_iter_mut().enumerate().for_each(|(triangle, limb)| {
-            if *limb as usize >= limb_count {
-                *limb = nearest(centroid(wood, triangle));
-            }
-        });
-        limbs.wood_limbs = wood_limbs;
+        limbs.wood_limbs = job.collect(wood_limbs.len(), |triangle| {
+            let limb = wood_limbs[triangle];
+            if (limb as usize) < limb_count { limb } else { nearest(centroid(wood, triangle)) }
+        })?;
         Ok(limbs)
     }
 }

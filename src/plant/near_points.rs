@@ -8,8 +8,14 @@
 
 use glam::{DVec3, Vec3};
 
+use crate::error::LodError;
+use crate::job::Job;
+
 /// Points that are looked at one by one.
 const BUCKET: usize = 8;
+
+/// The job is looked at before so many points are parted.
+const POINTS_PER_CHECK: usize = 1 << 14;
 
 /// A point and what it belongs to.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,12 +46,15 @@ pub(crate) struct NearPoints {
 
 impl NearPoints {
     /// Sorts points, at least one.
-    pub(crate) fn new(mut points: Vec<Labelled>) -> Self {
+    ///
+    /// # Errors
+    /// [`LodError::Cancelled`].
+    pub(crate) fn new(mut points: Vec<Labelled>, job: &Job) -> Result<Self, LodError> {
         assert!(!points.is_empty(), "nothing is nearest to nowhere");
         let mut nodes = Vec::new();
         let count = points.len();
-        halve(&mut points, 0, count, &mut nodes);
-        Self { points, nodes }
+        halve(&mut points, 0, count, &mut nodes, job)?;
+        Ok(Self { points, nodes })
     }
 
     /// Distance and label of the nearest point whose label is below `end`.
@@ -85,7 +94,16 @@ impl Node {
 }
 
 /// Adds the node of a range of points and those below it; gives its number.
-fn halve(points: &mut [Labelled], start: usize, end: usize, nodes: &mut Vec<Node>) -> usize {
+fn halve(
+    points: &mut [Labelled],
+    start: usize,
+    end: usize,
+    nodes: &mut Vec<Node>,
+    job: &Job,
+) -> Result<usize, LodError> {
+    if end - start >= POINTS_PER_CHECK {
+        job.check()?;
+    }
     let inside = &mut points[start..end];
     let none = (Vec3::INFINITY, Vec3::NEG_INFINITY, u32::MAX);
     let (low, high, least_label) = inside.iter().fold(none, |(low, high, least), point| {
@@ -100,10 +118,11 @@ fn halve(points: &mut [Labelled], start: usize, end: usize, nodes: &mut Vec<Node
             a.position[axis].total_cmp(&b.position[axis]).then(a.label.cmp(&b.label))
         });
         let middle = start + middle;
-        let halves = [halve(points, start, middle, nodes), halve(points, middle, end, nodes)];
-        nodes[number].halves = Some(halves);
+        let first = halve(points, start, middle, nodes, job)?;
+        let second = halve(points, middle, end, nodes, job)?;
+        nodes[number].halves = Some([first, second]);
     }
-    number
+    Ok(number)
 }
 
 #[cfg(test)]
@@ -115,7 +134,8 @@ mod tests {
     #[test]
     fn the_nearest_and_of_equals_the_lower_label() {
         let point = |x: f32, label| Labelled { position: Vec3::X * x, label };
-        let points = NearPoints::new(vec![point(3.0, 7), point(1.0, 5), point(-1.0, 2)]);
+        let points = vec![point(3.0, 7), point(1.0, 5), point(-1.0, 2)];
+        let points = NearPoints::new(points, &Job::default()).expect("runs");
         assert_eq!(points.nearest(DVec3::X * 2.5, 9), Some((0.5, 7)), "the nearest");
         assert_eq!(points.nearest(DVec3::X * 2.5, 7), Some((1.5, 5)), "below 7");
         assert_eq!(points.nearest(DVec3::ZERO, 9), Some((1.0, 2)), "equally far");
@@ -139,7 +159,8 @@ mod tests {
             let all = below.map(|p| (p.position.as_dvec3().distance_squared(place), p.label));
             let expected = all.min_by(|a, b| a.partial_cmp(b).expect("finite"));
             let expected = expected.map(|(distance_sq, label)| (distance_sq.sqrt(), label));
-            prop_assert_eq!(NearPoints::new(points).nearest(place, end), expected);
+            let points = NearPoints::new(points, &Job::default()).expect("runs");
+            prop_assert_eq!(points.nearest(place, end), expected);
         }
     }
 }
