@@ -11,7 +11,7 @@ use glam::{DVec3, Vec4};
 use crate::draw_list::DrawList;
 use crate::error::{LodError, check_in};
 use crate::job::Job;
-use crate::raster::{Outputs, Renderer, Settings};
+use crate::raster::{Frame, Outputs, Renderer, Settings};
 use crate::texture::dilate::dilated;
 use crate::texture::linear::LinearImage;
 use crate::texture::mips::{self, Keep};
@@ -89,15 +89,26 @@ pub fn bake(
     sample_count: u32,
     job: &Job,
 ) -> Result<LinearImage, LodError> {
-    check_in("samples", sample_count, 1..=crate::raster::samples::MAX_SAMPLE_COUNT)?;
-    let settings = Settings {
-        sample_count,
-        outputs: Outputs::COLOR,
-        background: Vec4::ZERO,
-        counts_fragments: false,
-    };
-    let frame = renderer.render(list, view, &settings, job)?;
+    let frame = bake_frame(renderer, list, view, sample_count, Outputs::COLOR, job)?;
     Ok(LinearImage { width: view.width, height: view.height, texels: frame.color })
+}
+
+/// As [`bake`], with the planes that are asked for.
+///
+/// # Errors
+/// As [`bake`].
+pub fn bake_frame(
+    renderer: &mut Renderer,
+    list: &DrawList,
+    view: &View,
+    sample_count: u32,
+    outputs: Outputs,
+    job: &Job,
+) -> Result<Frame, LodError> {
+    check_in("samples", sample_count, 1..=crate::raster::samples::MAX_SAMPLE_COUNT)?;
+    let settings =
+        Settings { sample_count, outputs, background: Vec4::ZERO, counts_fragments: false };
+    renderer.render(list, view, &settings, job)
 }
 
 /// Dilates, encodes and builds the levels of a bake.

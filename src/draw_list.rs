@@ -13,7 +13,7 @@ use glam::{DAffine3, Mat3, Vec2, Vec3, Vec4};
 
 use crate::error::LodError;
 use crate::plant::Mesh;
-use crate::texture::{Distribution, Sampler, Texture};
+use crate::texture::{Distribution, Frames, Sampler, Texture};
 use crate::view::View;
 
 /// Largest width of a line and side of a point: that of the largest picture.
@@ -138,7 +138,7 @@ impl Primitive {
 }
 
 /// What gives a fragment its colour. Renderers know these and nothing else.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Surface {
     /// The lit colour of the side seen.
     VertexColor,
@@ -157,6 +157,20 @@ pub enum Surface {
         /// Index into [`DrawList::textures`]: the turned leaves.
         leaves: u32,
         /// How the leaves are read.
+        sampler: Sampler,
+    },
+    /// What a ray from the eye meets in up to three pictures with depth; where the shape lies only says
+    /// which rays are followed. Depth is that of what is met. The instance's first three parameters
+    /// are the pictures' numbers, the next three their weights.
+    Parallax {
+        /// Index into [`DrawList::frames`].
+        frames: u32,
+        /// How often the stored depth moves the point that is read.
+        step_count: u32,
+        /// How far the depth there may be from the ray's for a picture to count half, in shares of the
+        /// frames' reach; infinite: all count alike.
+        tolerance: f32,
+        /// How the pictures are read.
         sampler: Sampler,
     },
 }
@@ -271,6 +285,8 @@ pub struct DrawList {
     pub textures: Vec<Arc<Texture>>,
     /// Shared maps of where leaves lie.
     pub distributions: Vec<Arc<Distribution>>,
+    /// Shared pictures with depth.
+    pub frames: Vec<Arc<Frames>>,
     /// This frame's own vertices and indices.
     pub own: OwnBuffers,
     /// Placed copies.
@@ -308,6 +324,16 @@ impl DrawList {
             self.distributions.len() - 1
         });
         u32::try_from(index).expect("few distributions")
+    }
+
+    /// Adds shared frames unless they are there, and gives their index.
+    pub fn frames(&mut self, frames: &Arc<Frames>) -> u32 {
+        let known = self.frames.iter().position(|f| f.id() == frames.id());
+        let index = known.unwrap_or_else(|| {
+            self.frames.push(Arc::clone(frames));
+            self.frames.len() - 1
+        });
+        u32::try_from(index).expect("few of them")
     }
 
     /// Adds an instance and gives the range that holds it alone.
@@ -361,6 +387,14 @@ impl DrawList {
                 && distribution as usize >= self.distributions.len()
             {
                 return Err(wrong(number, format!("no distribution {distribution}")));
+            }
+            if let Surface::Parallax { frames, .. } = item.surface {
+                if frames as usize >= self.frames.len() {
+                    return Err(wrong(number, format!("no frames {frames}")));
+                }
+                if !matches!(item.primitive, Primitive::Triangles | Primitive::Cards) {
+                    return Err(wrong(number, "frames are seen through triangles".to_owned()));
+                }
             }
             if let Primitive::Lines { width_px: size } | Primitive::Points { size_px: size } =
                 item.primitive

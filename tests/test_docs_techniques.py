@@ -48,6 +48,7 @@ QUICK = {
     "leaf_clusters": {"cluster_count": 2, "resolution": 8},
     "orthogonal_slices": {"slice_count": 2, "resolution": 8},
     "layered_billboards": {"layer_count": 2, "resolution": 8},
+    "octahedral_impostor": {"frame_count": 3, "resolution": 8},
 }
 """So that what is not refused is built at once."""
 

@@ -118,6 +118,7 @@ LONG_CALLS = {
         "plant = tl.grow_plant('pine')",
         "[tl.StochasticPruning.build(plant) for _ in range(100)]",
     ),
+    "bake frames": ("", "tl.OctahedralImpostor.build(plant, resolution=512, samples=256)"),
     "compare": (
         "from treelod.comparison import compare_techniques",
         "compare_techniques(plant, {'full_mesh': {}, 'slicings': {}}, "

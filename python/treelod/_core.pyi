@@ -9,6 +9,7 @@ __all__ = [
     "FoliageHierarchy",
     "LayeredBillboards",
     "LeafClusters",
+    "OctahedralImpostor",
     "Plant",
     "PointsAndLines",
     "Renderer",
@@ -32,6 +33,7 @@ __all__ = [
     "grow",
     "layered_billboards",
     "leaf_clusters",
+    "octahedral_impostor",
     "orthogonal_slices",
     "peak_rate",
     "plane_misses",
@@ -326,6 +328,24 @@ def leaf_clusters(
     threads: int | None,
     progress: Callable[[int, int], object] | None,
 ) -> LeafClusters: ...
+
+@final
+class OctahedralImpostor:
+    def representation(self) -> Representation: ...
+    def mixed(self, camera: _CameraFacts) -> list[tuple[int, float]]: ...
+    def relit(self, lighting: _LightingFacts) -> OctahedralImpostor: ...
+    @property
+    def facts(self) -> dict[str, Any]: ...
+    @property
+    def frames(self) -> NDArray[np.float64]: ...
+
+def octahedral_impostor(
+    plant: Plant,
+    facts: dict[str, Any],
+    *,
+    threads: int | None,
+    progress: Callable[[int, int], object] | None,
+) -> OctahedralImpostor: ...
 
 @final
 class PointsAndLines:

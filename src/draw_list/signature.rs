@@ -54,6 +54,9 @@ impl DrawList {
                 self.distributions[distribution as usize].id().hash(&mut hasher);
                 self.textures[leaves as usize].id().hash(&mut hasher);
             }
+            Surface::Parallax { frames, .. } => {
+                self.frames[frames as usize].id().hash(&mut hasher);
+            }
         }
         discriminant(&item.surface).hash(&mut hasher);
         discriminant(&item.blend).hash(&mut hasher);

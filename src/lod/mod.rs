@@ -9,6 +9,7 @@ pub mod foliage_hierarchy;
 pub mod full_mesh;
 pub mod layered_billboards;
 pub mod leaf_clusters;
+pub mod octahedral_impostor;
 pub mod orthogonal_slices;
 pub mod points_and_lines;
 pub mod simplified_mesh;

@@ -498,7 +498,7 @@ mod tests {
             .iter()
             .filter_map(|item| match item.surface {
                 Surface::Textured { sampler, .. } => Some(sampler.filter),
-                Surface::VertexColor | Surface::Indirect { .. } => None,
+                Surface::VertexColor | Surface::Indirect { .. } | Surface::Parallax { .. } => None,
             })
             .collect();
         assert_eq!(filters, [Filter::Nearest; 2], "read as asked for");

@@ -77,6 +77,14 @@ impl Lighting {
         Self { occlusion: 0.0, ..self }
     }
 
+    /// The same light with every irradiance scaled, so that a white leaf facing the sun is at most 1.
+    #[must_use]
+    pub fn scaled(self) -> Self {
+        let scale = self.scale();
+        let [sun, sky, ground] = [self.sun, self.sky, self.ground].map(|color| color * scale);
+        Self { sun, sky, ground, ..self }
+    }
+
     /// Front and back light of a surface with normal `n` and translucency `t`, scaled.
     pub fn front_back(&self, normal: Vec3, translucency: f64, seen: Seen) -> (DVec3, DVec3) {
         let normal = normal.as_dvec3();

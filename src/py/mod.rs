@@ -14,6 +14,7 @@ mod grow;
 mod layered_billboards;
 mod leaf_clusters;
 mod lod;
+mod octahedral_impostor;
 mod orthogonal_slices;
 mod plant;
 mod png;
@@ -109,6 +110,8 @@ mod _core {
     use super::leaf_clusters::{LeafClusters, leaf_clusters};
     #[pymodule_export]
     use super::lod::{Representation, full_mesh};
+    #[pymodule_export]
+    use super::octahedral_impostor::{OctahedralImpostor, octahedral_impostor};
     #[pymodule_export]
     use super::orthogonal_slices::orthogonal_slices;
     #[pymodule_export]

@@ -23,7 +23,7 @@ impl<'a> LastShaded<'a> {
     fn new<const S: usize>(scene: &Scene<'a, S>, reference: u32) -> Self {
         let (unit, index) = scene.referred(reference);
         let shape = &unit.shapes[index];
-        let material = Material::new(scene.list, unit, shape);
+        let material = Material::new(scene.list, scene.view, unit, shape);
         let weigher = Weigher::new(scene.view, &material, unit, index);
         let id = material.source_id(unit.origins[index].primitive);
         Self { reference, shape, material, weigher, id }

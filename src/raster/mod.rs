@@ -17,6 +17,7 @@ mod grid;
 mod lookup;
 mod naive;
 mod over;
+mod parallax;
 mod placing;
 mod plain;
 pub mod samples;

@@ -98,16 +98,23 @@ fn sample(
             }
             let from = point - Vec2::from(shape.origin);
             let key = shape.key[0] + (shape.key[1] * from.x + shape.key[2] * from.y);
-            let key = key.max(shape.key_range[0]).min(shape.key_range[1]);
-            let material = Material::new(list, unit, shape);
+            let mut key = key.max(shape.key_range[0]).min(shape.key_range[1]);
+            let material = Material::new(list, view, unit, shape);
+            let weigher = Weigher::new(view, &material, unit, index);
+            let lod = material.lod(&weigher, center);
+            let alpha = if let Some(parallax) = material.parallax() {
+                let positions = &list.vertices_of(material.item).positions;
+                let Some(seen) = parallax.seen(&weigher, positions, point, lod) else { continue };
+                key = seen.key;
+                seen.alpha * material.instance.tint.w
+            } else {
+                material.alpha(&weigher, point, lod)
+            };
             let (lowest, highest) = slab_keys(view, material.item.slab);
             if key <= nearest || key <= lowest || key > highest {
                 continue;
             }
-            let weigher = Weigher::new(view, &material, unit, index);
             let source_id = material.source_id(unit.origins[index].primitive);
-            let lod = material.lod(&weigher, center);
-            let alpha = material.alpha(&weigher, point, lod);
             let source = material.shade(shape, &weigher, point, lod, [true, false, false])[0];
             let hides = match material.item.blend {
                 Blend::Opaque => true,

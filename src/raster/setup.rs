@@ -14,7 +14,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, i32x8};
 use glam::Vec3;
 
-use crate::draw_list::{Blend, DrawList, Item, Primitive};
+use crate::draw_list::{Blend, DrawList, Item, Primitive, Surface};
 use crate::raster::clip::clip_polygon;
 use crate::raster::grid::{Grid, pixel_u16};
 use crate::raster::placing::{Chosen, GUARD_PX, Placing, ScreenVertex, snap};
@@ -170,7 +170,10 @@ impl Unit {
         for (number, segment) in (0_u32..).zip(segments) {
             let item = &list.items[segment.item as usize];
             let instance = &list.instances[segment.instance as usize];
-            let plain = item.blend == Blend::Opaque && item.depth_write && instance.fade == 1.0;
+            // where frames are looked through, depth is not that of the shape
+            let own_depth = !matches!(item.surface, Surface::Parallax { .. });
+            let whole = item.depth_write && instance.fade == 1.0;
+            let plain = item.blend == Blend::Opaque && own_depth && whole;
             let nowhere = (f32::INFINITY, f32::NEG_INFINITY);
             let context = Context {
                 level,

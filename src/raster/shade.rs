@@ -13,6 +13,7 @@ use crate::raster::clip::WeightForms;
 use crate::raster::cut_out::CutOut;
 use crate::raster::lookup::Lookup;
 use crate::raster::over::Over;
+use crate::raster::parallax::Parallax;
 use crate::raster::placing::{Placing, ScreenVertex, normal_matrix};
 use crate::raster::setup::{Shape, Unit, flags};
 use crate::texture::{Distribution, Filter, Sampler, Texture};
@@ -23,7 +24,9 @@ pub(crate) struct Material<'a> {
     pub(crate) item: &'a Item,
     pub(crate) instance: &'a Instance,
     look: Option<Look<'a>>,
-    buffers: &'a Buffers,
+    /// In a box: others' materials stay small.
+    parallax: Option<Box<Parallax<'a>>>,
+    pub(crate) buffers: &'a Buffers,
     indices: &'a Buffers,
 }
 
@@ -84,10 +87,12 @@ pub(crate) fn mix<T: Mixed>([a, b, c]: [T; 3], weights: [f32; 3]) -> T {
 }
 
 impl<'a> Material<'a> {
-    pub(crate) fn new(list: &'a DrawList, unit: &Unit, shape: &Shape) -> Self {
+    pub(crate) fn new(list: &'a DrawList, view: &View, unit: &Unit, shape: &Shape) -> Self {
         let segment = &unit.segments[shape.tag.segment() as usize];
         let item = &list.items[segment.item as usize];
+        let instance = &list.instances[segment.instance as usize];
         let texture = |index: u32| &*list.textures[index as usize];
+        let mut parallax = None;
         let look = match item.surface {
             Surface::VertexColor => None,
             Surface::Textured { texture: index, sampler } => {
@@ -97,11 +102,18 @@ impl<'a> Material<'a> {
                 let distribution = Some(&*list.distributions[distribution as usize]);
                 Some(Look { texture: texture(leaves), sampler, distribution })
             }
+            Surface::Parallax { frames, step_count, tolerance, sampler } => {
+                let frames = &*list.frames[frames as usize];
+                let seen = Parallax::new(frames, view, instance, (step_count, tolerance), sampler);
+                parallax = Some(Box::new(seen));
+                None
+            }
         };
         Self {
             item,
-            instance: &list.instances[segment.instance as usize],
+            instance,
             look,
+            parallax,
             buffers: list.vertices_of(item),
             indices: list.indices_of(item),
         }
@@ -109,7 +121,13 @@ impl<'a> Material<'a> {
 
     /// Whether every sample of a shape may be shaded at one point.
     pub(crate) fn is_smooth(&self) -> bool {
-        self.look.is_none()
+        self.look.is_none() && self.parallax.is_none()
+    }
+
+    /// The frames that are looked through the shape, if that is how it is coloured.
+    #[inline]
+    pub(crate) fn parallax(&self) -> Option<&Parallax<'a>> {
+        self.parallax.as_deref()
     }
 
     /// What the "ids" output shows.
@@ -175,6 +193,10 @@ impl<'a> Material<'a> {
 
     /// Level of detail of the texture at a pixel; 0 unless it is read with mips.
     pub(crate) fn lod(&self, weigher: &Weigher, center: Vec2) -> f32 {
+        if let Some(parallax) = self.parallax() {
+            return 0.5
+                * log2(parallax.texels_a_pixel_squared(weigher, &self.buffers.positions, center));
+        }
         let Some(size) = self.look.and_then(|look| look.texels()) else { return 0.0 };
         let uv = |offset: Vec2| mix(weigher.uvs, weigher.unclamped(center + offset)) * size;
         let middle = uv(Vec2::ZERO);
@@ -191,12 +213,17 @@ impl<'a> Material<'a> {
         weigher: &Weigher,
         at: Vec2,
         lod: f32,
-        [_, want_albedo, want_normal]: [bool; 3],
+        wanted: [bool; 3],
     ) -> [Vec4; 3] {
+        let tint = self.instance.tint;
+        if let Some(parallax) = self.parallax() {
+            let colors = parallax.colors(weigher, &self.buffers.positions, at, lod);
+            return parallax.shade(&colors, tint, self.item.blend == Blend::Over);
+        }
+        let [_, want_albedo, want_normal] = wanted;
         let weights = weigher.at(at);
         let sources = weigher.sources;
         let front = shape.tag.has(flags::FRONT);
-        let tint = self.instance.tint;
         let mut alpha = 1.0;
         let mut texel = Vec3::ONE;
         if let Some(look) = self.look {
@@ -375,6 +402,18 @@ impl Weigher {
             uvs: sources.map(|v| buffers.uvs[v as usize]),
             opacities: sources.map(|v| buffers.base[v as usize].w),
         }
+    }
+
+    /// Where on the shape a point of the picture is, in the vertices' own space.
+    #[inline]
+    pub(crate) fn position(&self, positions: &[Vec3], at: Vec2) -> Vec3 {
+        mix(self.sources.map(|v| positions[v as usize]), self.at(at))
+    }
+
+    /// The same on the shape's plane, for points beside the shape.
+    #[inline]
+    pub(crate) fn position_beside(&self, positions: &[Vec3], at: Vec2) -> Vec3 {
+        mix(self.sources.map(|v| positions[v as usize]), self.unclamped(at))
     }
 
     /// Weights at a point, clamped to the triangle.

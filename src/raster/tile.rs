@@ -6,12 +6,13 @@
 
 use glam::{Vec2, Vec3, Vec4};
 
-use crate::draw_list::{Blend, DrawList, Primitive, Surface};
+use crate::draw_list::{Blend, DrawList, Item, Primitive, Surface};
 use crate::raster::colors::{Colors, Known};
 use crate::raster::coverage::Lanes;
 use crate::raster::frame::{EMPTY_ID, Outputs};
 use crate::raster::grid::Grid;
 use crate::raster::over::{HALF_OPACITY, HalfOpacity};
+use crate::raster::parallax::Covers;
 use crate::raster::plain::Plain;
 use crate::raster::samples::{SUBPIXEL_COUNT, SamplePosition, alpha_threshold};
 use crate::raster::setup::{Shape, Unit, flags};
@@ -184,7 +185,7 @@ struct Style<'a> {
 impl<'a> Style<'a> {
     #[inline(never)]
     fn new<const S: usize>(scene: &Scene<'a, S>, unit: u32, shape: &Shape) -> Self {
-        let material = Material::new(scene.list, &scene.units[unit as usize], shape);
+        let material = Material::new(scene.list, scene.view, &scene.units[unit as usize], shape);
         let instance = material.instance;
         Self {
             unit,
@@ -270,6 +271,13 @@ impl TileBuffer {
                 }
                 let Some(style) = &at_hand else { continue };
                 let target = Target { tile_box, style, shape, unit: unit_index, index };
+                if style.material.parallax().is_some() {
+                    if style.material.item.blend == Blend::Over {
+                        self.color_waiting(scene, tile);
+                    }
+                    self.draw_parallax(scene, &target);
+                    continue;
+                }
                 match style.material.item.blend {
                     Blend::Opaque => self.draw_opaque(scene, &target),
                     Blend::Test(cutoff) => self.draw_tested(scene, &target, |_| cutoff),
@@ -382,6 +390,59 @@ impl TileBuffer {
         *fragment_count += target.draw(scene, keys, Sink::Visit(&mut visit));
     }
 
+    /// Draws a shape through which frames are looked at: whether and how near there is anything is known
+    /// only once a sample's ray has been followed.
+    #[inline(never)]
+    fn draw_parallax<const S: usize>(&mut self, scene: &Scene<'_, S>, target: &Target<'_>) {
+        let Self { keys, waiting, any_waiting, layers, fragment_count, .. } = self;
+        let (material, reference) = (&target.style.material, target.reference());
+        let Some(parallax) = material.parallax() else { return };
+        let positions = &material.buffers.positions;
+        let weigher = target.weigher(scene);
+        let Item { blend, depth_write, .. } = *material.item;
+        let (lowest, highest) = target.style.slab_keys;
+        let seed = material.instance.seed;
+        let unit = &scene.units[target.unit as usize];
+        let id = material.source_id(unit.origins[target.index as usize].primitive);
+        let mut lod = Lod::default();
+        let visit = |sample: &Sample| {
+            let lod = lod.at(material, &weigher, sample);
+            let point = scene.point_of(sample);
+            let Some(seen) = parallax.seen(&weigher, positions, point, lod) else { return };
+            let in_front = seen.key > keys[sample.at];
+            if !in_front || seen.key <= lowest || seen.key > highest {
+                return;
+            }
+            let alpha = seen.alpha * material.instance.tint.w;
+            let hides = match blend {
+                Blend::Opaque => true,
+                Blend::Test(cutoff) => alpha >= cutoff,
+                Blend::Coverage => alpha >= alpha_threshold(sample.number, S, seed, id),
+                Blend::Over => {
+                    let shaded = material.shade(target.shape, &weigher, point, lod, scene.layers);
+                    for ((layer, source), wanted) in layers.iter_mut().zip(shaded).zip(scene.layers)
+                    {
+                        if wanted {
+                            layer[sample.at] = source + layer[sample.at] * (1.0 - source.w);
+                        }
+                    }
+                    if depth_write {
+                        keys[sample.at] = seen.key;
+                    }
+                    return;
+                }
+            };
+            if hides {
+                *any_waiting = true;
+                waiting[sample.at] = reference;
+                if depth_write {
+                    keys[sample.at] = seen.key;
+                }
+            }
+        };
+        *fragment_count += target.cover(scene, visit);
+    }
+
     /// Gives every waiting sample its colour and id.
     pub(crate) fn color_waiting<const S: usize>(&mut self, scene: &Scene<'_, S>, tile: usize) {
         if !std::mem::take(&mut self.any_waiting) {
@@ -445,18 +506,39 @@ impl TileBuffer {
                     continue;
                 }
                 let mut lod = Lod::default();
-                let mut visit = |sample: &Sample, keys: &mut [f32]| {
-                    let lod = lod.at(material, &weigher, sample);
-                    let alpha = material.alpha(&weigher, scene.point_of(sample), lod);
-                    let before = opacity[sample.at];
-                    opacity[sample.at] = before + (1.0 - before) * alpha.clamp(0.0, 1.0);
-                    if before < HALF_OPACITY && opacity[sample.at] >= HALF_OPACITY {
+                let mut gather = |at: usize, alpha: f32, key: f32, keys: &mut [f32]| {
+                    let before = opacity[at];
+                    opacity[at] = before + (1.0 - before) * alpha.clamp(0.0, 1.0);
+                    if before < HALF_OPACITY && opacity[at] >= HALF_OPACITY {
                         // what lies behind cannot be nearer, so the key doubles as the answer
-                        keys[sample.at] = sample.key;
-                        if let Some(stored) = ids.get_mut(sample.at) {
+                        keys[at] = key;
+                        if let Some(stored) = ids.get_mut(at) {
                             *stored = id;
                         }
                     }
+                };
+                if let Some(parallax) = material.parallax() {
+                    let (lowest, highest) = style.slab_keys;
+                    let positions = &material.buffers.positions;
+                    target.cover(scene, |sample| {
+                        let lod = lod.at(material, &weigher, sample);
+                        let point = scene.point_of(sample);
+                        let seen = parallax.seen(&weigher, positions, point, lod);
+                        let shown = |key: f32| key > lowest && key <= highest;
+                        if let Some(seen) = seen
+                            && seen.key > keys[sample.at]
+                            && shown(seen.key)
+                        {
+                            let alpha = seen.alpha * material.instance.tint.w;
+                            gather(sample.at, alpha, seen.key, keys);
+                        }
+                    });
+                    continue;
+                }
+                let mut visit = |sample: &Sample, keys: &mut [f32]| {
+                    let lod = lod.at(material, &weigher, sample);
+                    let alpha = material.alpha(&weigher, scene.point_of(sample), lod);
+                    gather(sample.at, alpha, sample.key, keys);
                 };
                 target.draw(scene, keys, Sink::Visit(&mut visit));
             }
@@ -596,6 +678,18 @@ impl Target<'_> {
     fn weigher<const S: usize>(&self, scene: &Scene<'_, S>) -> Weigher {
         let unit = &scene.units[self.unit as usize];
         Weigher::new(scene.view, &self.style.material, unit, self.index as usize)
+    }
+
+    /// Visits every sample that it covers, whatever is in front, and counts its pixels.
+    fn cover<const S: usize>(&self, scene: &Scene<'_, S>, mut visit: impl FnMut(&Sample)) -> u64 {
+        scene.level.run(Covers {
+            lanes: &scene.lanes,
+            shape: self.shape,
+            tile_box: self.tile_box,
+            side: scene.grid.tile,
+            dither: self.style.dither,
+            visit: &mut visit,
+        })
     }
 
     /// Draws it and counts the pixels that it covers.

@@ -219,7 +219,13 @@ pub(crate) fn bits(mut mask: u64) -> impl Iterator<Item = usize> {
 /// Lanes that an instance's fade keeps.
 #[cold]
 #[inline(never)]
-fn dither_bits(lanes: &Lanes, (seed, fade): (u32, f32), x: i32, y: i32, block: usize) -> u64 {
+pub(crate) fn dither_bits(
+    lanes: &Lanes,
+    (seed, fade): (u32, f32),
+    x: i32,
+    y: i32,
+    block: usize,
+) -> u64 {
     let kept = |lane: usize| {
         let (column, sample) = lanes.place(lane, block);
         dithered(x + column, y, sample, seed, fade)

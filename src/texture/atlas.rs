@@ -136,12 +136,23 @@ impl Atlas {
     /// Puts a card's levels, made from what [`Atlas::padded`] gives, into the atlas's.
     pub fn put(&self, card: usize, from: &[Image], levels: &mut [Image]) {
         for (level, (to, from)) in levels.iter_mut().zip(from).enumerate() {
-            let [x, y] = self.places[card].map(|at| (at >> level) as usize);
-            let rows = from.texels.chunks_exact(from.width as usize);
-            for (row, texels) in (y..).zip(rows) {
-                let start = row * to.width as usize + x;
-                to.texels[start..start + texels.len()].copy_from_slice(texels);
-            }
+            self.put_level(card, level, &from.texels, from.width, &mut to.texels);
+        }
+    }
+
+    /// Puts one level of a card, `width` texels a row, into the same level of an atlas of any texels.
+    pub fn put_level<T: Copy>(
+        &self,
+        card: usize,
+        level: usize,
+        from: &[T],
+        width: u32,
+        to: &mut [T],
+    ) {
+        let [x, y] = self.places[card].map(|at| (at >> level) as usize);
+        for (row, texels) in (y..).zip(from.chunks_exact(width as usize)) {
+            let start = row * (self.width >> level) as usize + x;
+            to[start..start + texels.len()].copy_from_slice(texels);
         }
     }
 

@@ -22,6 +22,23 @@ pub type Check<'a> = dyn Fn() -> Result<(), LodError> + Sync + 'a;
 /// # Errors
 /// Whatever `check` returns.
 pub fn dilated(image: &LinearImage, check: &Check<'_>) -> Result<Image, LodError> {
+    let texels = dilated_as(image, check, |color, alpha| {
+        let [r, g, b] = color.to_array().map(srgb8_from_linear);
+        [r, g, b, unorm8(alpha)]
+    })?;
+    Ok(Image { width: image.width, height: image.height, texels })
+}
+
+/// What `encode` makes of each texel's straight colour, which every texel has if any has one, and its
+/// alpha.
+///
+/// # Errors
+/// Whatever `check` returns.
+pub fn dilated_as<T: Copy + Default + Send>(
+    image: &LinearImage,
+    check: &Check<'_>,
+    encode: impl Fn(Vec3, f32) -> T + Sync,
+) -> Result<Vec<T>, LodError> {
     let mut coarser: Vec<LinearImage> = Vec::new();
     loop {
         check()?;
@@ -38,7 +55,7 @@ pub fn dilated(image: &LinearImage, check: &Check<'_>) -> Result<Image, LodError
         .map(|level| (0..image.width).map(|x| place(x, level.width, image.width)).collect())
         .collect();
     let width = image.width as usize;
-    let mut texels = vec![[0; 4]; image.texels.len()];
+    let mut texels = vec![T::default(); image.texels.len()];
     let rows =
         texels.par_chunks_mut(width).zip(image.texels.par_chunks(width)).zip(0..image.height);
     rows.try_for_each(|((row, finest), y)| {
@@ -56,12 +73,11 @@ pub fn dilated(image: &LinearImage, check: &Check<'_>) -> Result<Image, LodError
             // the finest level that has a colour here
             let seen = if finest.w > 0.0 { Some(*finest) } else { above().find(|t| t.w > 0.0) };
             let color = seen.map_or(Vec3::ZERO, |seen| seen.xyz() / seen.w);
-            let [r, g, b] = color.to_array().map(srgb8_from_linear);
-            *texel = [r, g, b, unorm8(finest.w)];
+            *texel = encode(color, finest.w);
         }
         Ok(())
     })?;
-    Ok(Image { width: image.width, height: image.height, texels })
+    Ok(texels)
 }
 
 /// The column or row of a level that lies over one of its base.

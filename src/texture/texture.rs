@@ -230,7 +230,7 @@ impl Texture {
     #[inline]
     fn bilinear(&self, level: usize, wrap: [Wrap; 2], uv: Vec2) -> Vec4 {
         let image = &self.levels[level];
-        let (at, fx, fy) = footprint(image, wrap, uv);
+        let (at, fx, fy) = footprint((image.width, image.height), wrap, uv);
         let [a, b, c, d] = match self.decoded.get(level) {
             Some(decoded) => [decoded[at[0]], decoded[at[1]], decoded[at[2]], decoded[at[3]]],
             None => at.map(|index| decode(image.texels[index])),
@@ -243,12 +243,18 @@ impl Texture {
     /// The finer of the two levels to mix and the share of the coarser one.
     #[inline]
     pub(crate) fn level_pair(&self, lod: f32) -> (usize, f32) {
-        let last = self.levels.len() - 1;
-        let clamped = lod.clamp(0.0, last as f32);
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
-        let level = clamped as usize;
-        if level >= last { (last, 0.0) } else { (level, clamped - level as f32) }
+        level_pair(self.levels.len(), lod)
     }
+}
+
+/// The finer of the two of so many levels to mix and the share of the coarser one.
+#[inline]
+pub(crate) fn level_pair(level_count: usize, lod: f32) -> (usize, f32) {
+    let last = level_count - 1;
+    let clamped = lod.clamp(0.0, last as f32);
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
+    let level = clamped as usize;
+    if level >= last { (last, 0.0) } else { (level, clamped - level as f32) }
 }
 
 /// Premultiplied linear colour of a stored texel.
@@ -309,19 +315,23 @@ fn nearest(image: &Image, wrap: [Wrap; 2], uv: Vec2) -> [u8; 4] {
 }
 
 /// Indices of the four texels around a coordinate and the weights of the right and lower ones.
-#[inline]
-fn footprint(image: &Image, wrap: [Wrap; 2], uv: Vec2) -> ([usize; 4], f32, f32) {
-    let (x, fx) = split(uv.x, image.width, 0.5);
-    let (y, fy) = split(uv.y, image.height, 0.5);
-    let (x0, x1) = wrap_pair(x, image.width, wrap[0]);
-    let (y0, y1) = wrap_pair(y, image.height, wrap[1]);
-    let (row0, row1) = (y0 * image.width as usize, y1 * image.width as usize);
+#[inline(always)]
+pub(crate) fn footprint(
+    (width, height): (u32, u32),
+    wrap: [Wrap; 2],
+    uv: Vec2,
+) -> ([usize; 4], f32, f32) {
+    let (x, fx) = split(uv.x, width, 0.5);
+    let (y, fy) = split(uv.y, height, 0.5);
+    let (x0, x1) = wrap_pair(x, width, wrap[0]);
+    let (y0, y1) = wrap_pair(y, height, wrap[1]);
+    let (row0, row1) = (y0 * width as usize, y1 * width as usize);
     ([row0 + x0, row0 + x1, row1 + x0, row1 + x1], fx, fy)
 }
 
 #[inline]
 fn bilinear_alpha(image: &Image, wrap: [Wrap; 2], uv: Vec2) -> f32 {
-    let (at, fx, fy) = footprint(image, wrap, uv);
+    let (at, fx, fy) = footprint((image.width, image.height), wrap, uv);
     let alpha = |corner: usize| f32::from(image.texels[at[corner]][3]);
     let (a, b, c, d) = (alpha(0), alpha(1), alpha(2), alpha(3));
     let top = a + (b - a) * fx;

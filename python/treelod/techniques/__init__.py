@@ -5,6 +5,7 @@ from treelod.techniques.foliage_hierarchy import FoliageHierarchy
 from treelod.techniques.full_mesh import FullMesh
 from treelod.techniques.layered_billboards import LayeredBillboards
 from treelod.techniques.leaf_clusters import LeafClusters
+from treelod.techniques.octahedral_impostor import OctahedralImpostor
 from treelod.techniques.orthogonal_slices import OrthogonalSlices
 from treelod.techniques.points_and_lines import PointsAndLines
 from treelod.techniques.simplified_mesh import SimplifiedMesh
@@ -23,6 +24,7 @@ __all__ = [
     "FullMesh",
     "LayeredBillboards",
     "LeafClusters",
+    "OctahedralImpostor",
     "OrthogonalSlices",
     "PointsAndLines",
     "SimplifiedMesh",
@@ -45,6 +47,7 @@ REGISTRY: dict[str, type[Technique]] = {
         LayeredBillboards,
         StochasticPruning,
         Billboard,
+        OctahedralImpostor,
     )
 }
 """Techniques by the name that tables, command lines and sweeps use."""
