@@ -154,8 +154,9 @@ def worst_case(table: pd.DataFrame, baseline: str | None = "full_mesh") -> Figur
                 "Jakulin 2000: slicings",
                 (0.02, JAKULIN_SPEEDUP),
                 xycoords=("axes fraction", "data"),
-                xytext=(0.0, 2.0),
+                xytext=(0.0, -3.0),
                 textcoords="offset points",
+                va="top",
                 color="#555555",
                 fontsize=LABEL_SIZE,
             )
