@@ -181,6 +181,9 @@ mod tests {
         // three quarters of the first corner and one of the third make (0, 1, 2): pixel (0, 0.5)
         let weights = space().weight_forms(corners).at([0.0, 0.5]);
         assert_eq!(weights, [0.75, 0.0, 0.25], "between a corner in front and one behind");
+        let [a, b, c] = corners;
+        let weights = space().weight_forms([b, a, c]).at([0.0, 0.5]);
+        assert_eq!(weights, [0.0, 0.75, 0.25], "the same seen from its other side");
     }
 
     #[test]

