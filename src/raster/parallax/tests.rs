@@ -277,6 +277,45 @@ fn depth_is_that_of_what_is_seen_and_not_of_the_window() {
     }
 }
 
+/// Colour and depth of a picture of 4 x 4 pixels, one sample each, through a window on a wall one metre
+/// before the middle of a copy that stands at the origin, turned about the vertical.
+fn through_a_window(view: &View, turn: f64) -> Picture {
+    let mut list = DrawList::default();
+    let matrix3 = DMat3::from_rotation_y(turn);
+    let placed = DAffine3 { matrix3, translation: DVec3::ZERO };
+    let mut instance = Instance::new(&placed, view);
+    instance.params[3] = 1.0;
+    let looked = surface(&mut list, &wall(0.75), 1, Filter::Bilinear);
+    let toward = (matrix3.transpose() * DVec3::Z).as_vec3();
+    add(&mut list, window(Vec3::ZERO, toward, 1.5), instance, looked, Blend::Test(0.5));
+    draw(&list, view, 1, Level::chosen().expect("one"), 1)
+}
+
+#[test]
+fn depth_is_measured_in_the_world_and_not_in_the_copy() {
+    let projection = Projection::Orthographic { height: 2.0 };
+    let view = View::new(DVec3::Z * 10.0, DVec3::ZERO, DVec3::Y, projection, (4, 4), 1e-3);
+    let turn = 30.0_f64.to_radians();
+    let frame = through_a_window(&view.expect("valid"), turn);
+    // the wall is the plane x sin + z cos = 1; the second pixel lies at x = -0.25
+    for (pixel, x) in [(5, -0.25), (6, 0.25)] {
+        let wanted = 10.0 - (1.0 - x * libm::sin(turn)) / libm::cos(turn);
+        let found = f64::from(frame.depth[pixel]);
+        assert!((found - wanted).abs() < 1e-4, "at {x}: {found} for {wanted}");
+    }
+}
+
+#[test]
+fn what_is_nearer_than_the_near_plane_is_not_seen() {
+    let projection = Projection::Perspective { fov_y: 0.5 };
+    for (eye, is_seen) in [(1.5, true), (1.25, true), (1.15, false)] {
+        let view = View::new(DVec3::Z * eye, DVec3::ZERO, DVec3::Y, projection, (4, 4), 0.2);
+        let frame = through_a_window(&view.expect("valid"), 0.0);
+        let found = frame.depth[5];
+        assert_eq!(found.is_finite(), is_seen, "from {eye}, 0.2 before it nothing is: {found}");
+    }
+}
+
 #[test]
 fn lists_that_name_no_frames_are_refused() {
     let view = &views()[0];
