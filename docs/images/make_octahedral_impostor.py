@@ -10,6 +10,7 @@ with ``pictures``, ``ghosts``, ``frames``, ``sweep``, ``times``, ``spheres``, ``
 import os
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ COLORS = 192
 SIZE = (256, 192)
 DISTANCES = (2.5, 10.0, 40.0)
 SAMPLES = 16
-REPEATS = 9
+REPEATS = 15
 """Frames that are timed, in turns."""
 
 ELEVATIONS = (-50, -20, 2, 25, 55, 85)
@@ -358,7 +359,8 @@ def jump(lod: tl.OctahedralImpostor, plant: tl.Plant, camera: tl.Camera) -> floa
         middle = (low + high) / 2
         low, high = (middle, high) if heaviest(middle) == first else (low, middle)
     before, after = (tl.render(lod, turned(degrees), samples=SAMPLES) for degrees in (low, high))
-    return tl.metrics.compare(before, after).flip
+    # the cameras differ by less than a millionth of a degree
+    return tl.metrics.compare(before, replace(after, camera=before.camera)).flip
 
 
 def main() -> None:
