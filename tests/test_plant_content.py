@@ -213,12 +213,31 @@ def test_branches_that_do_not_fit_are_refused():
     assert made().structure.keys() == good.keys()
     beyond = good["leaves"].copy()
     beyond[-1] = (0, 61)
+    gap = good["wood_triangles"].copy()
+    gap[1, 0] += 1
+    short = good["wood_triangles"].copy()
+    short[-1] = short[-1, 0]
+    count = len(core.wood["triangles"])
+    after = good["leaves"].copy()
+    after[-1] = (0, 60)
+    other = good["leaf_branches"].copy()
+    other[0] -= 1
+    parted = good["parents"].copy()
+    # a branch on the trunk parts what comes before it from what comes after
+    limb = int(np.flatnonzero(parted == 0)[-1])
+    parted[-1] = limb - 1
+    assert limb < len(parted) - 1
     for changes, message in (
         ({"radii": good["radii"][1:]}, "structure has [0-9]+ parents and rows of"),
         ({"parents": good["parents"] - 2}, "structure: branch 0 has the parent -3"),
         ({"parents": np.arange(len(good["parents"]))}, "branch 0 comes before its parent"),
         ({"leaves": beyond}, r"has leaves 0\.\.61 of 60"),
         ({"leaf_branches": good["leaf_branches"][1:]}, "leaf_branches has 59 values for 60"),
+        ({"wood_triangles": gap}, "branch 1 has wood triangles .*, not from [0-9]+ on"),
+        ({"wood_triangles": short}, f"the branches have [0-9]+ wood triangles of {count}"),
+        ({"leaves": after}, r"has leaves 0\.\.60, not from [0-9]+ on"),
+        ({"leaf_branches": other}, "leaf_branches and the leaves of branch [0-9]+ disagree"),
+        ({"parents": parted}, f"branch {len(parted) - 1} is parted from its parent's other"),
     ):
         with pytest.raises(ValueError, match=message):
             made(**changes)

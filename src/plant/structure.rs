@@ -39,25 +39,50 @@ pub struct Structure {
 }
 
 impl Structure {
-    /// Refuses branches that do not lie in order, or that own what a plant does not have.
+    /// Refuses branches that do not lie depth first, and those whose wood and leaves are not all of a
+    /// plant's, one branch after the other.
     ///
     /// # Errors
     /// [`LodError::Invalid`], [`LodError::NotFinite`].
     pub fn check(&self, wood_triangle_count: usize, leaf_count: usize) -> Result<(), LodError> {
         let wrong = |why: String| Err(LodError::Invalid { name: "structure", why });
-        for (id, branch) in self.branches.iter().enumerate() {
-            if branch.parent.is_some_and(|parent| parent as usize >= id) {
+        // the branch before and those it grows from, the trunk first
+        let mut below: Vec<u32> = Vec::new();
+        let (mut next_triangle, mut next_leaf) = (0, 0);
+        for (id, branch) in (0_u32..).zip(&self.branches) {
+            if branch.parent.is_some_and(|parent| parent >= id) {
                 return wrong(format!("branch {id} comes before its parent"));
             }
-            for (what, range, count) in [
-                ("wood triangles", &branch.wood_triangles, wood_triangle_count),
-                ("leaves", &branch.leaves, leaf_count),
+            while let Some(&last) = below.last()
+                && branch.parent != Some(last)
+            {
+                below.pop();
+            }
+            if branch.parent.is_some() && below.is_empty() {
+                return wrong(format!("branch {id} is parted from its parent's other branches"));
+            }
+            below.push(id);
+            for (what, range, next, count) in [
+                ("wood triangles", &branch.wood_triangles, &mut next_triangle, wood_triangle_count),
+                ("leaves", &branch.leaves, &mut next_leaf, leaf_count),
             ] {
                 if range.start > range.end || range.end as usize > count {
                     return wrong(format!("branch {id} has {what} {range:?} of {count}"));
                 }
+                if range.start != *next {
+                    return wrong(format!("branch {id} has {what} {range:?}, not from {next} on"));
+                }
+                *next = range.end;
             }
             check_finite("structure", &[branch.start, branch.end, Vec3::splat(branch.radius)])?;
+        }
+        for (what, next, count) in [
+            ("wood triangles", next_triangle, wood_triangle_count),
+            ("leaves", next_leaf, leaf_count),
+        ] {
+            if next as usize != count {
+                return wrong(format!("the branches have {next} {what} of {count}"));
+            }
         }
         if self.leaf_branches.len() != leaf_count {
             let count = self.leaf_branches.len();
@@ -66,6 +91,12 @@ impl Structure {
         let is_known = |&branch: &u32| (branch as usize) < self.branches.len();
         if !self.leaf_branches.iter().all(is_known) || !self.leaf_branches.is_sorted() {
             return wrong("leaf_branches must rise and name branches".to_owned());
+        }
+        for (id, branch) in (0_u32..).zip(&self.branches) {
+            let range = branch.leaves.start as usize..branch.leaves.end as usize;
+            if self.leaf_branches[range].iter().any(|&of| of != id) {
+                return wrong(format!("leaf_branches and the leaves of branch {id} disagree"));
+            }
         }
         Ok(())
     }
@@ -102,7 +133,20 @@ mod tests {
         let structure = Structure { branches, leaf_branches: vec![] };
         let found: Vec<_> = (0..5).map(|i| structure.subtree(i)).collect();
         assert_eq!(found, [0..5, 1..3, 2..3, 3..5, 4..5], "trunk, limb, twig, limb, twig");
+        assert!(structure.check(0, 0).is_ok(), "depth first");
+        let mut parted = structure;
+        // a twig of the first limb after the second limb
+        parted.branches[4].parent = Some(1);
+        let message = parted.check(0, 0).expect_err("parted").to_string();
+        let expected = "structure: branch 4 is parted from its parent's other branches";
+        assert_eq!(message, expected, "the first limb's sub-tree is not whole");
+        parted.branches[4].parent = None;
+        assert!(parted.check(0, 0).is_ok(), "a second trunk");
+        parted.branches.push(parted.branches[3].clone());
+        let message = parted.check(0, 0).expect_err("parted").to_string();
+        assert!(message.contains("branch 5 is parted"), "beyond the second trunk: {message}");
     }
+
     #[test]
     fn what_a_plant_does_not_have_is_refused() {
         let branch = |parent, wood_triangles, leaves| Branch {
@@ -140,6 +184,27 @@ mod tests {
             ),
             (&|s| s.leaf_branches[0] = 2, "structure: leaf_branches must rise and name branches"),
             (&|s| s.leaf_branches[2] = 0, "structure: leaf_branches must rise and name branches"),
+            (
+                &|s| s.branches[1].wood_triangles.start = 5,
+                "structure: branch 1 has wood triangles 5..6, not from 4 on",
+            ),
+            (
+                &|s| s.branches[1].wood_triangles.start = 3,
+                "structure: branch 1 has wood triangles 3..6, not from 4 on",
+            ),
+            (
+                &|s| s.branches[1].wood_triangles.end = 5,
+                "structure: the branches have 5 wood triangles of 6",
+            ),
+            (
+                &|s| s.branches[0].leaves = 1..1,
+                "structure: branch 0 has leaves 1..1, not from 0 on",
+            ),
+            (&|s| s.branches[1].leaves.end = 2, "structure: the branches have 2 leaves of 3"),
+            (
+                &|s| s.leaf_branches[1] = 0,
+                "structure: leaf_branches and the leaves of branch 1 disagree",
+            ),
         ] {
             assert_eq!(changed(change), expected, "names what is wrong");
         }
