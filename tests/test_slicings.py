@@ -306,7 +306,7 @@ def test_half_the_bytes_with_one_bit_of_alpha(plant):
     "options",
     [
         {"slicing_count": 3, "correction": "fit"},
-        {"slicing_count": 4, "slice_count": (4, 2), "quadtree": 8, "vertical": True},
+        {"slicing_count": 4, "slice_count": (4, 2), "quadtree": 16, "vertical": True},
     ],
 )
 def test_threads_do_not_change_a_bake(plant, options):
@@ -463,7 +463,7 @@ HEMISPHERE = [(1, 0, 0), (-1, 0, 0), (0, 0, 1), (0, 0, -1), (0, 1, 0)]
         ({"sub_slices": 0}, "sub_slices"),
         ({"sub_slices": 100}, "sub_slices"),
         ({"quadtree": 24}, "quadtree"),
-        ({"quadtree": 4}, "quadtree"),
+        ({"quadtree": 8}, "quadtree"),
         ({"quadtree": 64, "resolution": 100}, "resolution"),
         ({"branch_level": 1}, "branch_level"),
     ],

@@ -44,8 +44,9 @@ use part::{Part, Plan};
 /// More cells along a side of a slice than this are taken for a mistake.
 const MAX_SUB_SLICES: usize = 64;
 
-/// Sides of the smallest and of the largest squares that textures may be kept in.
-const QUADTREE_SIDES: std::ops::RangeInclusive<u32> = 8..=1024;
+/// Sides of the smallest and of the largest squares that textures may be kept in. The border of a smaller
+/// one would only do for the finest level, and all others would be stored twice.
+const QUADTREE_SIDES: std::ops::RangeInclusive<u32> = 16..=1024;
 
 /// What becomes of leaves longer than the planes' spacing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

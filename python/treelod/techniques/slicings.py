@@ -182,7 +182,7 @@ class Slicings(Technique):
             which it is seen itself.
         quadtree : int, optional
             Texels of a side of the smallest squares that textures are kept in, a power of two in
-            8..=1024; empty squares are neither stored nor drawn. Default: textures are whole.
+            16..=1024; empty squares are neither stored nor drawn. Default: textures are whole.
         branch_level : int, optional
             Generation of the branches that get one slicing each, across the direction in which they
             are flattest: 1 are those that grow from the trunk. For grown plants, whose branches are

@@ -314,7 +314,7 @@ fn a_cell_has_the_share_of_a_blend(crown: &Plant, blend: &ViewBlend, slicing_cou
 #[test]
 fn cells_of_a_parallel_view_are_those_of_whole_slices() {
     let crown = plant(&random_crown(300));
-    for quadtree in [None, Some(8)] {
+    for quadtree in [None, Some(16)] {
         let [whole, cells] = [1, 3].map(|sub_slices| {
             build(&crown, &Params { sub_slices, quadtree, ..params(6, 3, 32) }).0
         });
@@ -368,7 +368,7 @@ fn squares_show_what_the_whole_picture_shows() {
     for crown in &crowns {
         let with = |quadtree| Params { quadtree, sample_count: 4, ..params(6, 3, 64) };
         let whole = build(crown, &with(None)).0;
-        for side in [8, 16, 32] {
+        for side in [16, 32] {
             let parted = build(crown, &with(Some(side))).0;
             // near: a texel is a pixel or more; far: the coarse picture; none in between
             let border = side / 8;
@@ -390,37 +390,32 @@ fn empty_squares_are_neither_stored_nor_drawn() {
     let crown = plant(&corners());
     let with = |quadtree| Params { quadtree, ..params(1, 2, 64) };
     let (whole, _) = build(&crown, &with(None));
-    let (parted, _) = build(&crown, &with(Some(8)));
+    let (parted, _) = build(&crown, &with(Some(16)));
     let bytes = |lod: &Slicings| lod.footprint().texture_bytes;
     let texels: u64 = 64 * 64 + 32 * 32 + 16 * 16 + 8 * 8 + 4 * 4 + 2 * 2 + 1;
     assert_eq!(bytes(&whole), 2 * 4 * texels, "two slices");
     let mut stored = 0;
     for (_, _, baked) in baked_slices(&parted) {
-        // squares of 8 to 64 with a border of one texel, the finest level alone; and all levels
+        // squares of 16 to 64 with a border of two texels, in two levels; and all levels but the finest
         for tile in &baked.tiles {
             let (width, height) = tile.texture.size();
-            assert!(width == height && (width - 2).is_power_of_two() && width >= 10, "{width}");
-            assert_eq!(
-                tile.texture.levels().len(),
-                1,
-                "the border of the next would be half a texel"
-            );
-            stored += u64::from(width) * u64::from(height) * 4;
+            assert!(width == height && (width - 4).is_power_of_two() && width >= 20, "{width}");
+            let level_count = tile.texture.levels().len();
+            assert_eq!(level_count, 2, "the border of the next would be half a texel");
+            stored += u64::from(width) * u64::from(height) * 5;
         }
-        stored += 4 * texels;
+        stored += 4 * (texels - 64 * 64);
         let near: Vec<_> = baked.shown(0.0).iter().map(|tile| tile.texture.id()).collect();
         let far: Vec<_> = baked.shown(1e9).iter().map(|tile| tile.texture.id()).collect();
         assert!(far.len() == 1 && !near.contains(&far[0]), "one for all from afar");
     }
     assert_eq!(bytes(&parted), stored, "all of it is counted");
-    // with larger squares only the coarse levels are kept twice
-    let (large, _) = build(&crown, &with(Some(16)));
-    assert!(bytes(&large) < bytes(&whole), "{} for {}", bytes(&large), bytes(&whole));
-    let names: Vec<String> = large.textures().into_iter().map(|named| named.name).collect();
+    assert!(bytes(&parted) < bytes(&whole), "{} for {}", bytes(&parted), bytes(&whole));
+    let names: Vec<String> = parted.textures().into_iter().map(|named| named.name).collect();
     assert!(names.contains(&"slicing 0, slice 0, square 1".to_owned()), "{names:?}");
     assert!(names.contains(&"slicing 0, slice 1, from afar".to_owned()), "{names:?}");
     for (name, with) in [
-        ("quadtree", Params { quadtree: Some(4), ..with(None) }),
+        ("quadtree", Params { quadtree: Some(8), ..with(None) }),
         ("quadtree", Params { quadtree: Some(24), ..with(None) }),
         ("resolution", Params { quadtree: Some(32), resolution: (64, 66), ..with(None) }),
     ] {
@@ -539,10 +534,10 @@ fn every_awkward_crown_and_camera_gives_a_picture_with_options() {
         ),
         ("mirrored", Params { mirrored: true, blend: vertical(), ..params(6, 3, 8) }),
         ("cells", Params { sub_slices: 3, blend: vertical(), ..params(6, 3, 8) }),
-        ("squares", Params { quadtree: Some(8), sub_slices: 2, ..params(6, 2, 16) }),
+        ("squares", Params { quadtree: Some(16), sub_slices: 2, ..params(6, 2, 16) }),
         (
             "one",
-            Params { slice_counts: vec![1], sub_slices: 2, quadtree: Some(8), ..params(1, 1, 8) },
+            Params { slice_counts: vec![1], sub_slices: 2, quadtree: Some(16), ..params(1, 1, 8) },
         ),
     ];
     for (name, leaves) in crowns() {
@@ -569,7 +564,7 @@ fn every_awkward_crown_and_camera_gives_a_picture_with_options() {
 fn a_leaf_between_two_cells_or_squares_is_drawn_once() {
     // a sheet over all of the rectangle: every seam would show
     let sheet = plant(&[(Vec3::ZERO, Vec3::X, Vec3::Y)]);
-    for (sub_slices, quadtree) in [(5, None), (1, Some(8)), (3, Some(8))] {
+    for (sub_slices, quadtree) in [(5, None), (1, Some(16)), (3, Some(16))] {
         let (lod, _) = build(&sheet, &Params { sub_slices, quadtree, ..params(1, 1, 64) });
         for pixels in [50, 64, 97] {
             let frame = draw(&lod, &parallel(DVec3::Z, DVec3::Y, 1.8, pixels));
