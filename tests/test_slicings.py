@@ -466,6 +466,9 @@ HEMISPHERE = [(1, 0, 0), (-1, 0, 0), (0, 0, 1), (0, 0, -1), (0, 1, 0)]
         ({"quadtree": 8}, "quadtree"),
         ({"quadtree": 64, "resolution": 100}, "resolution"),
         ({"branch_level": 1}, "branch_level"),
+        ({"branch_level": 1, "vertical": True}, "vertical: .* only one slicing"),
+        ({"branch_level": 1, "sub_slices": 2}, "sub_slices: .* only one slicing"),
+        ({"sub_slices": 64, "slice_count": 65, "slicing_count": 4}, "sub_slices needs 1064960"),
     ],
 )
 def test_bad_arguments_are_named(plant, arguments, message):
@@ -606,7 +609,7 @@ def test_a_vertical_slicing_shows_the_crown_from_above(plant):
 def test_branches_of_a_grown_plant():
     plant = tl.grow_plant("chestnut", leaf_count=800)
     lod = tl.Slicings.build(plant, branch_level=1, slice_count=3, resolution=64)
-    assert lod.part_count > 5
+    assert lod.part_count == 57
     names = {t.name.split(",")[0] for t in lod.textures if t.corners is not None}
     assert len(names) <= lod.part_count
     assert all(name.startswith("branch ") for name in names)

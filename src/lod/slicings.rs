@@ -44,6 +44,9 @@ use part::{Part, Plan};
 /// More cells along a side of a slice than this are taken for a mistake.
 const MAX_SUB_SLICES: usize = 64;
 
+/// Cards of all cells together.
+const MAX_CARDS: u64 = 1 << 20;
+
 /// Sides of the smallest and of the largest squares that textures may be kept in. The border of a smaller
 /// one would only do for the finest level, and all others would be stored twice.
 const QUADTREE_SIDES: std::ops::RangeInclusive<u32> = 16..=1024;
@@ -204,6 +207,10 @@ impl Slicings {
             large_leaf_count += plan.large_leaf_count;
             plan.mark_in_mesh(&mut in_mesh);
             parts.push(plan.bake(&mut baker, params)?);
+        if params.sub_slices > 1 {
+            let cards = plans.iter().map(|plan| plan.card_count(params)).sum();
+            check_limit("sub_slices", cards, MAX_CARDS, "cards")?;
+        }
         }
         let cards = baker.into_cards();
         let levels = (0..params.slice_counts.len()).map(|level| {

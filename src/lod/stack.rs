@@ -173,6 +173,19 @@ pub(crate) fn check(
     samples::positions(sample_count).map(|_| ())
 }
 
+/// Cards of a slice with so many cells along each side, at most: squares are cut at the cells' borders.
+pub(crate) fn cards_at_most(
+    (width, height): (u32, u32),
+    grid: usize,
+    quadtree: Option<u32>,
+) -> u64 {
+    let cells = (grid * grid) as u64;
+    let Some(least_side) = quadtree else { return cells };
+    let [columns, rows] =
+        [width, height].map(|side| grid as u64 + u64::from(side.div_ceil(least_side)) - 1);
+    columns * rows + cells
+}
+
 /// Draws slices and stores them.
 #[derive(Debug)]
 pub(crate) struct Baker<'a> {

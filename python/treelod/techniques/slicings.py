@@ -211,7 +211,8 @@ class Slicings(Technique):
         ValueError
             If an argument is out of range, or if the plant has no leaves.
         LimitError
-            If all slices together would have more than 2**29 texels.
+            If all slices together would have more than 2**29 texels, or, with `sub_slices`, more
+            than 2**20 cards.
 
         Notes
         -----

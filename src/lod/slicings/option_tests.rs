@@ -354,6 +354,25 @@ fn views_bake_what_cells_need() {
     }
 }
 
+#[test]
+fn too_many_cells_are_refused_before_they_are_baked() {
+    let crown = plant(&random_crown(30));
+    // 4 slicings of 65 slices of 64 x 64 cells
+    let many = Params { sub_slices: 64, ..params(4, 65, 8) };
+    let expected = "sub_slices needs 1064960 cards, the limit is 1048576";
+    assert_eq!(refused(&crown, &many), expected, "one card a cell");
+    // 4 x 64 slices of 16 x 16 squares, cut by 40 cells, and once more from afar
+    let parted = Params { sub_slices: 40, quadtree: Some(16), ..params(4, 64, 256) };
+    let expected = format!("sub_slices needs {} cards, the limit is 1048576", 256 * (3025 + 1600));
+    assert_eq!(refused(&crown, &parted), expected, "squares are cut");
+    // as many cards as there are at most
+    let full = plant(&[(Vec3::ZERO, Vec3::X, Vec3::Y)]);
+    let few = Params { sub_slices: 3, quadtree: Some(16), ..params(1, 1, 64) };
+    let cards = build(&full, &few).0.footprint().card_count;
+    let most = crate::lod::stack::cards_at_most((64, 64), 3, Some(16));
+    assert!(cards > 9 && cards <= most, "{cards} of {most}");
+}
+
 // Squares
 
 /// A crown with a gap: leaves in two opposite corners.

@@ -14,7 +14,7 @@ use crate::lod::leaves::Leaves;
 use crate::lod::level_rule::{LevelRule, Seen};
 use crate::lod::opacity::{self, Correction, Opacity, SilhouetteAlpha, all_around};
 use crate::lod::slabs::{Cut, Layout};
-use crate::lod::stack::{Baker, Drawing, Mixed, Stack, push_stacks};
+use crate::lod::stack::{Baker, Drawing, Mixed, Stack, cards_at_most, push_stacks};
 use crate::lod::view_blend::{ViewBlend, ordered};
 use crate::lod::viewer::{self, Viewer};
 use crate::lod::{Crown, ListBuilder, NamedTexture};
@@ -193,18 +193,22 @@ impl<'a> Plan<'a> {
     }
 
     /// Slices that will be baked, with the texels of each.
-    fn baked(&self) -> impl Iterator<Item = (u64, u64)> {
+    fn baked(&self) -> impl Iterator<Item = (u64, (u32, u32))> {
         self.levels.iter().flat_map(|level| {
             let sized = level.layouts.iter().zip(&level.sizes);
-            sized.filter_map(|(layout, size)| {
-                let (width, height) = (*size)?;
-                Some((layout.count as u64, u64::from(width) * u64::from(height)))
-            })
+            sized.filter_map(|(layout, size)| Some((layout.count as u64, (*size)?)))
         })
     }
 
     pub(super) fn texel_count(&self) -> u64 {
-        self.baked().map(|(slices, texels)| slices * texels).sum()
+        let texels = |(width, height): (u32, u32)| u64::from(width) * u64::from(height);
+        self.baked().map(|(slices, size)| slices * texels(size)).sum()
+    }
+
+    /// Cards of all slices, at most.
+    pub(super) fn card_count(&self, params: &Params) -> u64 {
+        let cards = |size| cards_at_most(size, params.sub_slices, params.quadtree);
+        self.baked().map(|(slices, size)| slices * cards(size)).sum()
     }
 
     pub(super) fn slice_count(&self) -> u64 {
