@@ -164,9 +164,20 @@ fn check(params: &Params) -> Result<(), LodError> {
             return Err(LodError::Invalid { name: "resolution", why });
         }
     }
-    if params.branch_level.is_some() && params.correction == Correction::Fit {
-        let why = "'fit' measures the blend of slicings, and a branch has only one".to_owned();
-        return Err(LodError::Invalid { name: "correction", why });
+    if params.branch_level.is_some() {
+        let refused = |name, what| {
+            let why = format!("{what}, and a branch of branch_level has only one slicing");
+            Err(LodError::Invalid { name, why })
+        };
+        if params.correction == Correction::Fit {
+            return refused("correction", "'fit' measures the blend of slicings");
+        }
+        if params.blend.is_vertical() {
+            return refused("vertical", "adds a slicing to others");
+        }
+        if params.sub_slices > 1 {
+            return refused("sub_slices", "cells are blended with those of other slicings");
+        }
     }
     if params.views.as_ref().is_some_and(Vec::is_empty) {
         let why = "give at least one camera, or None for all directions";

@@ -142,6 +142,11 @@ impl ViewBlend {
         &self.directions
     }
 
+    /// Whether up was added to directions that are all horizontal.
+    pub fn is_vertical(&self) -> bool {
+        self.vertical
+    }
+
     /// Whether all directions are horizontal.
     pub fn is_level(&self) -> bool {
         self.directions.iter().all(|unit| unit.y.abs() <= LEVEL_TOLERANCE)

@@ -171,7 +171,8 @@ class Slicings(Technique):
             plant; a single one may point anywhere.
         vertical : bool, default False
             Whether a slicing that faces up is blended with the others as the eye rises above the
-            horizon or sinks below it. For orientations that are all horizontal.
+            horizon or sinks below it. For orientations that are all horizontal, and not with
+            `branch_level`.
         mirrored : bool, default False
             Whether a slicing shares the textures of its opposite, seen from behind.
         drop_back : int, default 0
@@ -179,14 +180,15 @@ class Slicings(Technique):
             nearest slice always is.
         sub_slices : int, default 1
             Cells along each side of a slice, in 1..=64, each of which is blended by the angle at
-            which it is seen itself.
+            which it is seen itself. Not with `branch_level`.
         quadtree : int, optional
             Texels of a side of the smallest squares that textures are kept in, a power of two in
             16..=1024; empty squares are neither stored nor drawn. Default: textures are whole.
         branch_level : int, optional
             Generation of the branches that get one slicing each, across the direction in which they
             are flattest: 1 are those that grow from the trunk. For grown plants, whose branches are
-            known; `slicing_count` and `orientations` do not count then. Default: one crown.
+            known; `slicing_count` and `orientations` do not count then, and there is nothing to
+            blend: not with `vertical`, `sub_slices` or ``correction='fit'``. Default: one crown.
         format : {'rgba8', 'rgb5a1', 'rgb8', 'palette8', 'bc1', 'bc3', 'bc7'}, default 'rgba8'
             How texels are stored, and so what is drawn of them; see `TextureFormat`.
         views : sequence of Camera, optional

@@ -500,8 +500,13 @@ fn branches_share_out_the_leaves() {
     let bare = plant(&random_crown(10));
     let with = Params { branch_level: Some(1), ..params(6, 3, 16) };
     assert!(refused(&bare, &with).starts_with("branch_level"), "no structure");
-    let fit = Params { correction: Correction::Fit, ..with };
+    let fit = Params { correction: Correction::Fit, ..with.clone() };
     assert!(refused(&crown, &fit).starts_with("correction"), "one slicing has no blend");
+    let cells = Params { sub_slices: 2, ..with.clone() };
+    assert!(refused(&crown, &cells).starts_with("sub_slices"), "nor do its cells");
+    let blend = with.blend.clone().with_vertical().expect("level");
+    let vertical = Params { blend, ..with };
+    assert!(refused(&crown, &vertical).starts_with("vertical"), "nor is there one that faces up");
 }
 
 #[test]
