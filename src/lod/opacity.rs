@@ -48,6 +48,14 @@ impl Correction {
             Self::Fit | Self::Optical => Ok(()),
         }
     }
+
+    /// Its law where nothing is fitted; what a fit begins with.
+    pub(crate) fn unfitted(self, tau: f64) -> Opacity {
+        match self {
+            Self::Linear(m) => Opacity::Linear { m },
+            Self::Optical | Self::Fit => Opacity::Optical { tau },
+        }
+    }
 }
 
 /// A correction with its numbers.
@@ -128,8 +136,7 @@ pub(crate) fn chosen(
     mean_alpha: impl FnMut(Option<Opacity>) -> Result<f64, LodError>,
 ) -> Result<(Opacity, Option<bool>), LodError> {
     match correction {
-        Correction::Linear(m) => Ok((Opacity::Linear { m }, None)),
-        Correction::Optical => Ok((Opacity::Optical { tau }, None)),
+        Correction::Linear(_) | Correction::Optical => Ok((correction.unfitted(tau), None)),
         Correction::Fit => fit(tau, mean_alpha).map(|(opacity, found)| (opacity, Some(found))),
     }
 }

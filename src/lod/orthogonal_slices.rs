@@ -222,7 +222,7 @@ impl OrthogonalSlices {
         let in_slices = if params.bakes_wood { &wood } else { &Mesh::default() };
         let whole = with_wood(plant, in_slices, job)?;
         let leaves = Leaves::new(&whole)?;
-        let needed = needed(&leaves, &shares, params)?;
+        let needed = needed(&leaves, &shares, params, job)?;
         if params.correction == Correction::Fit && needed.contains(&None) {
             let why = "'fit' needs all axes, and these views leave some out".to_owned();
             return Err(LodError::Invalid { name: "correction", why });
@@ -402,9 +402,10 @@ fn needed(
 ) -> Result<Vec<Option<Option<f64>>>, LodError> {
     let Some(views) = &params.views else { return Ok(vec![Some(None); params.axis_count]) };
     let mixed = |_: &View, _: &Crown, viewer: &Viewer| {
-        shares.of(viewer).into_iter().map(|(axis, _)| axis).collect()
+        Ok(shares.of(viewer).into_iter().map(|(axis, _)| axis).collect())
+    job: &Job,
     };
-    let needed = viewer::needed(views, leaves, params.axis_count, mixed)?;
+    let needed = viewer::needed(views, leaves, params.axis_count, mixed, job)?;
     Ok(needed.into_iter().map(|per_metre| per_metre.map(Some)).collect())
 }
 

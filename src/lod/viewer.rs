@@ -5,6 +5,7 @@ use glam::{DAffine3, DVec3};
 
 use crate::bake::BakeRect;
 use crate::error::LodError;
+use crate::job::Job;
 use crate::lod::Crown;
 use crate::lod::leaves::Leaves;
 use crate::view::View;
@@ -56,12 +57,13 @@ impl Viewer {
 /// for a picture that no view mixes. `mixed` gives the pictures of a view.
 ///
 /// # Errors
-/// `views` without any view.
+/// `views` without any view; what `mixed` fails with; [`LodError::Cancelled`].
 pub(crate) fn needed(
     views: &[View],
     leaves: &Leaves<'_>,
     count: usize,
-    mixed: impl Fn(&View, &Crown, &Viewer) -> Vec<usize>,
+    mixed: impl Fn(&View, &Crown, &Viewer) -> Result<Vec<usize>, LodError>,
+    job: &Job,
 ) -> Result<Vec<Option<f64>>, LodError> {
     if views.is_empty() {
         let why = "give at least one camera, or None for all directions";
@@ -71,11 +73,12 @@ pub(crate) fn needed(
     let crown = Crown::alone(DAffine3::from_translation(leaves.plant.origin));
     let mut needed: Vec<Option<f64>> = vec![None; count];
     for view in views {
+        job.check()?;
         let viewer = Viewer::new(view, &crown, leaves.center, leaves.radius);
         let from_eye = viewer.eye.map_or(0.0, DVec3::length);
         let nearest = (from_eye - leaves.radius).max(view.near);
         let per_metre = 1.0 / view.pixel_size_at(nearest);
-        for number in mixed(view, &crown, &viewer) {
+        for number in mixed(view, &crown, &viewer)? {
             let most = needed[number].get_or_insert(0.0);
             *most = most.max(per_metre);
         }

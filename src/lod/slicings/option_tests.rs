@@ -7,6 +7,7 @@ use glam::{DAffine3, DVec3, Vec3, Vec4};
 use super::tests::{baked_slices, build, cards, params};
 use super::{Correction, LargeLeaves, Params, Slicings};
 use crate::draw_list::{Blend, DrawList};
+use crate::error::LodError;
 use crate::job::Job;
 use crate::lod::level_rule::LevelRule;
 use crate::lod::made::{
@@ -352,6 +353,40 @@ fn views_bake_what_cells_need() {
     for sub_slices in [0, 65] {
         assert!(refused(&crown, &with(sub_slices, None)).starts_with("sub_slices"), "out of range");
     }
+}
+
+#[test]
+fn mirrored_cells_bake_what_their_opposites_show() {
+    let crown = plant(&random_crown(300));
+    let near = perspective(DVec3::new(0.0, 0.0, -1.6), DVec3::ZERO, DVec3::Y);
+    let with = |views| Params { sub_slices: 4, mirrored: true, views, ..params(6, 2, 16) };
+    let (seen, _) = build(&crown, &with(Some(vec![near.clone()])));
+    let (all, _) = build(&crown, &with(None));
+    let stacks = |lod: &Slicings| -> Vec<bool> {
+        lod.parts[0].levels[0].stacks.iter().map(Option::is_some).collect()
+    };
+    assert_eq!(stacks(&all), [true, true, true, false, false, false], "half of them");
+    assert!(stacks(&seen).starts_with(&[true]), "3 faces the eye, and 0 shows it");
+    let [items, wanted] = [&seen, &all].map(|lod| emit(lod, &near, &here()).items.len());
+    assert!(items > 0 && items == wanted, "nothing is missing: {items} of {wanted}");
+}
+
+#[test]
+fn views_are_asked_for_their_cells_until_the_job_ends() {
+    let crown = plant(&random_crown(30));
+    let view = perspective(DVec3::new(0.0, 0.0, 1.6), DVec3::ZERO, DVec3::Y);
+    let leaves = crate::lod::leaves::Leaves::new(&crown).expect("leaves");
+    let job = Job::default();
+    let asked = std::cell::Cell::new(0);
+    let mixed = |_: &View, _: &Crown, _: &crate::lod::viewer::Viewer| {
+        asked.set(asked.get() + 1);
+        job.cancel();
+        Ok(vec![0])
+    };
+    let views = [view.clone(), view];
+    let found = crate::lod::viewer::needed(&views, &leaves, 1, mixed, &job);
+    assert!(matches!(found, Err(LodError::Cancelled)), "between two views: {found:?}");
+    assert_eq!(asked.get(), 1, "the first alone");
 }
 
 #[test]

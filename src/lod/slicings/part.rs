@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::sub_slices::{self, Cells, Grid};
+use super::sub_slices::{Cells, Grid};
 use super::{LargeLeaves, Params};
 use crate::draw_list::Geometry;
 use crate::error::LodError;
@@ -40,6 +40,8 @@ pub(super) struct Plan<'a> {
 /// A level that is going to be baked.
 struct PlannedLevel {
     layouts: Vec<Layout>,
+    /// Cells of the slices, where they have shares of their own.
+    grids: Vec<Grid>,
     error: f64,
     /// Texels of each slicing, `None` where no view needs it.
     sizes: Vec<Option<(u32, u32)>>,
@@ -68,6 +70,11 @@ impl Mixing {
             return Err(LodError::Invalid { name: "mirrored", why });
         }
         Ok(Self { blend, shown })
+    }
+
+    /// Whether a slicing has slices of its own.
+    pub(super) fn is_stored(&self, slicing: usize) -> bool {
+        self.shown[slicing] == slicing
     }
 
     /// Slicings with their shares in the order of drawing, those that are shown by another one's
@@ -103,14 +110,20 @@ impl<'a> Plan<'a> {
         let mut error: f64 = 0.0;
         let mut levels: Vec<PlannedLevel> = Vec::new();
         for &slice_count in &params.slice_counts {
-            job.check()?;
-            let of = |&toward: &DVec3| {
-                Layout::new(toward, &leaves.leaf_centers, slice_count, leaves.radius)
-            };
-            let layouts: Vec<Layout> = directions.iter().map(of).collect();
+            let mut layouts: Vec<Layout> = Vec::new();
+            let mut grids = Vec::new();
+            for &toward in &directions {
+                job.check()?;
+                let centers = &leaves.leaf_centers;
+                let layout = Layout::new(toward, centers, slice_count, leaves.radius);
+                if params.sub_slices > 1 {
+                    grids.push(grid(&layout, &leaves, params));
+                }
+                layouts.push(layout);
+            }
             let spacing = layouts.iter().map(|layout| layout.spacing).fold(0.0, f64::max);
             error = error.max(spacing / 2.0 * worst);
-            levels.push(PlannedLevel { layouts, error, sizes: Vec::new() });
+            levels.push(PlannedLevel { layouts, grids, error, sizes: Vec::new() });
         }
         let (in_mesh, large_leaf_count) = large_leaves(&leaves, &levels[0].layouts, params, job)?;
         let rule = params.rule.clone();
@@ -121,7 +134,7 @@ impl<'a> Plan<'a> {
 
     /// Chooses the texels of every slicing: what was asked for, but no more than any view can show.
     fn size(&mut self, whole: f64, params: &Params, job: &Job) -> Result<(), LodError> {
-        let needed = self.needed(params)?;
+        let needed = self.needed(params, job)?;
         let count = self.mixing.shown.len();
         // a part of a crown has its share of the crown's texels
         let share = if whole > 0.0 && params.branch_level.is_some() {
@@ -147,8 +160,8 @@ impl<'a> Plan<'a> {
                     None => Some(f64::INFINITY),
                     Some(needed) => needed[number * count + slicing],
                 };
-                let is_shown = self.mixing.shown[slicing] == slicing;
-                let size = views.filter(|_| is_shown).map(|per_metre| {
+                let is_stored = self.mixing.is_stored(slicing);
+                let size = views.filter(|_| is_stored).map(|per_metre| {
                     let rect = layout.rect(&self.leaves);
                     let (width, height) = viewer::texels(per_metre.min(shown_from), &rect, limit);
                     let up = |texels: u32| texels.next_multiple_of(multiple);
@@ -157,7 +170,7 @@ impl<'a> Plan<'a> {
                 level.sizes.push(size);
             }
             let left_out = |(slicing, size): (usize, &Option<(u32, u32)>)| {
-                size.is_none() && self.mixing.shown[slicing] == slicing
+                size.is_none() && self.mixing.is_stored(slicing)
             };
             let sizes = level.sizes.iter().enumerate();
             let some = level.sizes.iter().any(Option::is_some);
@@ -170,7 +183,7 @@ impl<'a> Plan<'a> {
     }
 
     /// Pixels a metre of the nearest view that shows each slicing of each level.
-    fn needed(&self, params: &Params) -> Result<Option<Vec<Option<f64>>>, LodError> {
+    fn needed(&self, params: &Params, job: &Job) -> Result<Option<Vec<Option<f64>>>, LodError> {
         let Some(views) = &params.views else { return Ok(None) };
         let count = self.mixing.shown.len();
         let errors: Vec<f64> = self.levels.iter().map(|level| level.error).collect();
@@ -178,18 +191,20 @@ impl<'a> Plan<'a> {
         let mixed = |view: &View, crown: &Crown, viewer: &Viewer| {
             let seen = Seen::new(view, crown, center, radius);
             let level = self.rule.choose(&errors, &seen).level;
-            let numbers: Vec<usize> = if params.sub_slices == 1 {
+            let grids = &self.levels[level].grids;
+            let mut numbers: Vec<usize> = Vec::new();
+            if grids.is_empty() {
                 let shares = self.mixing.shares(viewer.toward, viewer.up);
-                shares.into_iter().map(|(number, _)| number).collect()
-            } else {
-                let assigned = self.levels[level].layouts.iter();
-                let grids: Vec<Grid> =
-                    assigned.map(|layout| grid(layout, &self.leaves, params)).collect();
-                sub_slices::mixed(&grids, &self.mixing, viewer, (center, radius))
-            };
-            numbers.into_iter().map(|number| level * count + number).collect()
+                numbers.extend(shares.into_iter().map(|(number, _)| number));
+            }
+            for (slicing, grid) in grids.iter().enumerate() {
+                if grid.is_seen(slicing, &self.mixing, viewer, (center, radius), job)? {
+                    numbers.push(slicing);
+                }
+            }
+            Ok(numbers.into_iter().map(|number| level * count + number).collect())
         };
-        viewer::needed(views, &self.leaves, self.levels.len() * count, mixed).map(Some)
+        viewer::needed(views, &self.leaves, self.levels.len() * count, mixed, job).map(Some)
     }
 
     /// Slices that will be baked, with the texels of each.
@@ -225,7 +240,7 @@ impl<'a> Plan<'a> {
     /// Bakes what was planned.
     pub(super) fn bake(self, baker: &mut Baker<'_>, params: &Params) -> Result<Part, LodError> {
         let mut levels = Vec::new();
-        for level in &self.levels {
+        for level in self.levels {
             let mut alpha = SilhouetteAlpha::default();
             let mut stacks = Vec::new();
             for (layout, size) in level.layouts.iter().zip(&level.sizes) {
@@ -238,14 +253,10 @@ impl<'a> Plan<'a> {
                 let assignment = layout.assign(&self.leaves, rect, Cut::Large, in_mesh);
                 stacks.push(Some(baker.stack(&self.leaves, &assignment, size, &mut alpha)?));
             }
-            let grids = level.layouts.iter().map(|layout| grid(layout, &self.leaves, params));
-            let grids = if params.sub_slices > 1 { grids.collect() } else { Vec::new() };
             let tau = alpha.tau();
-            let opacity = match params.correction {
-                Correction::Linear(m) => Opacity::Linear { m },
-                Correction::Optical | Correction::Fit => Opacity::Optical { tau },
-            };
-            levels.push(Level { stacks, grids, opacity, tau, error: level.error });
+            let opacity = params.correction.unfitted(tau);
+            let PlannedLevel { grids, error, .. } = level;
+            levels.push(Level { stacks, grids, opacity, tau, error });
         }
         let errors = levels.iter().map(|level| level.error).collect();
         Ok(Part {

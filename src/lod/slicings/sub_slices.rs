@@ -14,6 +14,8 @@ use glam::DVec3;
 use super::part::Mixing;
 use crate::bake::BakeRect;
 use crate::draw_list::{Geometry, Item};
+use crate::error::LodError;
+use crate::job::Job;
 use crate::lod::opacity::Opacity;
 use crate::lod::stack::{Drawing, Stack, card_item, instance};
 use crate::lod::viewer::Viewer;
@@ -43,27 +45,41 @@ impl Grid {
         let across = rect.right * (u * rect.width) - rect.up * (v * rect.height);
         rect.center - center + across + rect.toward() * offset
     }
-}
 
-/// The slicings that some cell of theirs shows.
-pub(super) fn mixed(
-    grids: &[Grid],
-    mixing: &Mixing,
-    viewer: &Viewer,
-    (center, radius): (DVec3, f64),
-) -> Vec<usize> {
-    let shows = |&slicing: &usize| {
-        let grid = &grids[slicing];
-        let mut cells = grid.offsets.iter().flat_map(|&offset| {
-            let cells = (0..grid.side * grid.side).map(|cell| [cell % grid.side, cell / grid.side]);
-            cells.map(move |cell| grid.middle(center, offset, cell))
-        });
-        cells.any(|middle| {
-            let toward = viewer.toward_from(middle, radius);
-            mixing.shares(toward, viewer.up).iter().any(|&(number, _)| number == slicing)
-        })
-    };
-    (0..grids.len()).filter(shows).collect()
+    /// Middles of a plane's cells, row by row.
+    fn middles(&self, center: DVec3, offset: f64) -> impl Iterator<Item = DVec3> {
+        let side = self.side;
+        (0..side * side).map(move |cell| self.middle(center, offset, [cell % side, cell / side]))
+    }
+
+    /// Whether some cell of this slicing is seen.
+    ///
+    /// # Errors
+    /// [`LodError::Cancelled`].
+    pub(super) fn is_seen(
+        &self,
+        slicing: usize,
+        mixing: &Mixing,
+        viewer: &Viewer,
+        (center, radius): (DVec3, f64),
+        job: &Job,
+    ) -> Result<bool, LodError> {
+        // no cell has a share of what another slicing shows
+        if !mixing.is_stored(slicing) {
+            return Ok(false);
+        }
+        for &offset in &self.offsets {
+            job.check()?;
+            let is_seen = self.middles(center, offset).any(|middle| {
+                let shares = mixing.shares(viewer.toward_from(middle, radius), viewer.up);
+                shares.iter().any(|&(number, _)| number == slicing)
+            });
+            if is_seen {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
 }
 
 /// Slicings that are drawn cell by cell.
@@ -78,13 +94,22 @@ pub(super) struct Cells<'a> {
 }
 
 impl Cells<'_> {
-    /// How opaque a cell of a slicing is.
-    fn opacity(&self, viewer: &Viewer, slicing: usize, offset: f64, cell: [usize; 2]) -> f64 {
+    /// How opaque the cells of a slicing are: slice by slice, then row by row. Nothing where none is
+    /// seen.
+    fn opacities(&self, viewer: &Viewer, slicing: usize) -> Vec<f64> {
+        if !self.mixing.is_stored(slicing) {
+            return Vec::new();
+        }
         let (center, radius) = self.crowned;
-        let middle = self.grids[slicing].middle(center, offset, cell);
-        let shares = self.mixing.shares(viewer.toward_from(middle, radius), viewer.up);
-        let place = shares.iter().position(|&(number, _)| number == slicing);
-        place.map_or(0.0, |place| self.law.of(&shares)[place])
+        let grid = &self.grids[slicing];
+        let middles = grid.offsets.iter().flat_map(|&offset| grid.middles(center, offset));
+        let opacities = middles.map(|middle| {
+            let shares = self.mixing.shares(viewer.toward_from(middle, radius), viewer.up);
+            let place = shares.iter().position(|&(number, _)| number == slicing);
+            place.map_or(0.0, |place| self.law.of(&shares)[place])
+        });
+        let opacities: Vec<f64> = opacities.collect();
+        if opacities.iter().any(|&opacity| opacity > 0.0) { opacities } else { Vec::new() }
     }
 
     /// Paints the cells: ranks as whole slices have, of one rank the slicings that are less opaque in
@@ -101,20 +126,26 @@ impl Cells<'_> {
         builder: &mut ListBuilder,
     ) -> Result<(), usize> {
         let source = builder.list.geometry(cards);
-        let needed = mixed(self.grids, self.mixing, viewer, self.crowned);
         // (rank, opacity of all cells, slicing, item)
         let mut items: Vec<(f64, f64, usize, Item)> = Vec::new();
-        for slicing in needed {
+        for (slicing, grid) in self.grids.iter().enumerate() {
+            let of_cells = self.opacities(viewer, slicing);
+            if of_cells.is_empty() {
+                continue;
+            }
             let stack = self.stacks[slicing].as_ref().ok_or(slicing)?;
             let first = items.len();
             let mut sum = 0.0;
             for (rank, slice) in stack.far_to_near(viewer, self.drawing.drop_back) {
+                // offsets rise, and the grid has the very same
+                let number = grid.offsets.partition_point(|&offset| offset < slice.offset);
+                let of_slice = &of_cells[number * grid.side * grid.side..];
                 let shown = self.drawing.pixel_size;
                 for tile in slice.baked.iter().flat_map(|baked| baked.shown(shown)) {
                     let opacities: Vec<f64> = tile
                         .cells
                         .iter()
-                        .map(|&cell| self.opacity(viewer, slicing, slice.offset, cell))
+                        .map(|&[column, row]| of_slice[row * grid.side + column])
                         .collect();
                     sum += opacities.iter().sum::<f64>();
                     let mut card = tile.cards.start;
