@@ -98,7 +98,11 @@ impl<'a> Leaves<'a> {
             numbers: Some(chosen.iter().map(|&leaf| self.number(leaf)).collect()),
             center,
             leaf_centers: chosen.iter().map(|leaf| center_of(leaf) - center).collect(),
-            ..self.clone()
+            plant: self.plant,
+            mesh: self.mesh.clone(),
+            geometry: Arc::clone(&self.geometry),
+            radius: 0.0,
+            materials: Arc::clone(&self.materials),
         };
         leaves.radius = leaves.largest_distance();
         leaves

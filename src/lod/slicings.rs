@@ -197,7 +197,7 @@ impl Slicings {
         let leaves = Leaves::new(plant)?;
         let crowns = match params.branch_level {
             None => vec![(leaves.clone(), params.blend.clone(), "slicing".to_owned())],
-            Some(level) => branches::crowns(&leaves, level)?,
+            Some(level) => branches::crowns(&leaves, level, job)?,
         };
         let whole = leaves.radius;
         let plans: Result<Vec<Plan<'_>>, LodError> = crowns

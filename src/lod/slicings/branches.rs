@@ -11,6 +11,7 @@ use std::ops::Range;
 use glam::{DMat3, DVec3};
 
 use crate::error::LodError;
+use crate::job::Job;
 use crate::lod::eigen::smallest_eigenvector;
 use crate::lod::leaves::Leaves;
 use crate::lod::view_blend::ViewBlend;
@@ -19,10 +20,12 @@ use crate::lod::view_blend::ViewBlend;
 /// branches before it; each with the direction of its slicing and its name.
 ///
 /// # Errors
-/// [`LodError::Invalid`] under `branch_level` if the plant's structure is not known.
+/// [`LodError::Invalid`] under `branch_level` if the plant's structure is not known;
+/// [`LodError::Cancelled`].
 pub(super) fn crowns<'a>(
     leaves: &Leaves<'a>,
     level: u32,
+    job: &Job,
 ) -> Result<Vec<(Leaves<'a>, ViewBlend, String)>, LodError> {
     let Some(structure) = &leaves.plant.structure else {
         let why = "needs a plant whose branches are known: a grown one".to_owned();
@@ -47,14 +50,15 @@ pub(super) fn crowns<'a>(
     }
     let crowns =
         ranges.into_iter().filter(|(_, range)| !range.is_empty()).map(|(branch, range)| {
+            job.check()?;
             let chosen: Vec<usize> = range.map(|leaf| leaf as usize).collect();
             let crown = leaves.chosen(&chosen);
             let outward = crown.center - leaves.center;
             let direction = flattest(&crown.leaf_centers, outward);
             let blend = ViewBlend::new(&[direction], None).expect("one unit vector");
-            (crown, blend, format!("branch {branch}, slicing"))
+            Ok((crown, blend, format!("branch {branch}, slicing")))
         });
-    Ok(crowns.collect())
+    crowns.collect()
 }
 
 /// The direction in which points spread least, on the side of another direction; that direction where

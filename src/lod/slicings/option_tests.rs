@@ -516,7 +516,7 @@ fn branches_share_out_the_leaves() {
     let structure = Arc::clone(crown.structure.as_ref().expect("grown"));
     let leaves = crate::lod::leaves::Leaves::new(&crown).expect("leaves");
     for level in [0, 1, 2, 99] {
-        let crowns = super::branches::crowns(&leaves, level).expect("known");
+        let crowns = super::branches::crowns(&leaves, level, &Job::default()).expect("known");
         let mut seen = vec![0; crown.foliage.leaf_count()];
         for (part, blend, name) in &crowns {
             assert_eq!(blend.directions().len(), 1, "{name}: one slicing");
@@ -529,9 +529,13 @@ fn branches_share_out_the_leaves() {
         }
         assert!(seen.iter().all(|&count| count == 1), "level {level}: each leaf in one branch");
     }
-    let limbs = super::branches::crowns(&leaves, 1).expect("known").len();
+    let limbs = super::branches::crowns(&leaves, 1, &Job::default()).expect("known").len();
     let grown_on_trunk = structure.branches.iter().filter(|b| b.level == 1).count();
-    assert!(limbs > 5 && limbs <= grown_on_trunk + 10, "{limbs} of {grown_on_trunk}");
+    assert_eq!((limbs, grown_on_trunk), (55, 84), "limbs with leaves, of all");
+    let job = Job::default();
+    job.cancel();
+    let cancelled = super::branches::crowns(&leaves, 1, &job);
+    assert!(matches!(cancelled, Err(LodError::Cancelled)), "asked for each branch");
     let bare = plant(&random_crown(10));
     let with = Params { branch_level: Some(1), ..params(6, 3, 16) };
     assert!(refused(&bare, &with).starts_with("branch_level"), "no structure");
