@@ -54,10 +54,7 @@ pub(crate) struct Leaves<'a> {
 impl<'a> Leaves<'a> {
     pub(crate) fn new(plant: &'a Plant) -> Result<Self, LodError> {
         let foliage = &plant.foliage;
-        let Some(&first) = foliage.centers.first() else {
-            let why = "this technique needs leaves; choose them with foliage=";
-            return Err(LodError::Empty { name: "foliage", why });
-        };
+        let Some(&first) = foliage.centers.first() else { return Err(Self::missing()) };
         let spread = |(low, high): (Vec3, Vec3), &p: &Vec3| (low.min(p), high.max(p));
         let (low, high) = foliage.centers.iter().fold((first, first), spread);
         let center = (low.as_dvec3() + high.as_dvec3()) * 0.5;
@@ -76,6 +73,12 @@ impl<'a> Leaves<'a> {
         };
         leaves.radius = leaves.largest_distance();
         Ok(leaves)
+    }
+
+    /// What is wrong with a plant that has none.
+    pub(crate) fn missing() -> LodError {
+        let why = "this technique needs leaves; choose them with foliage=";
+        LodError::Empty { name: "foliage", why }
     }
 
     /// Of a vertex from the centre.

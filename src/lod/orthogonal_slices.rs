@@ -217,7 +217,7 @@ impl OrthogonalSlices {
         let shares = Shares::new(params.law, params.axis_count)?;
         let wood = params.wood.of(plant)?;
         if plant.foliage.leaf_count() == 0 {
-            Leaves::new(plant)?;
+            return Err(Leaves::missing());
         }
         let in_slices = if params.bakes_wood { &wood } else { &Mesh::default() };
         let whole = with_wood(plant, in_slices, job)?;
@@ -431,7 +431,8 @@ fn with_wood<'p>(plant: &'p Plant, wood: &Mesh, job: &Job) -> Result<Cow<'p, Pla
     let mut offsets = plant.foliage.leaf_offsets.clone();
     offsets.extend(first + 1..=first + count(wood.triangles.len()));
     let foliage = Foliage::new(mesh, offsets, job)?;
-    Ok(Cow::Owned(Plant { foliage, wood: Mesh::default(), ..plant.clone() }))
+    // no branch has this wood, or these leaves
+    Ok(Cow::Owned(Plant { foliage, wood: Mesh::default(), structure: None, ..plant.clone() }))
 }
 
 /// The leaves below the treetop and those in it, and the height of its foot. Wood, which comes after

@@ -191,7 +191,7 @@ impl Slicings {
     ///
     /// # Errors
     /// `foliage` without leaves; a parameter out of range; `branch_level` for a plant whose structure
-    /// is not known; [`LodError::Cancelled`].
+    /// is not known, or with what blends several slicings; [`LodError::Cancelled`].
     pub fn build(plant: &Plant, params: &Params, job: &Job) -> Result<(Self, Measured), LodError> {
         check(params)?;
         let leaves = Leaves::new(plant)?;
@@ -207,6 +207,10 @@ impl Slicings {
         let plans = plans?;
         let texels = plans.iter().map(Plan::texel_count).sum();
         check_limit("resolution", texels, MAX_TOTAL_TEXELS, "texels")?;
+        if params.sub_slices > 1 {
+            let cards = plans.iter().map(|plan| plan.card_count(params)).sum();
+            check_limit("sub_slices", cards, MAX_CARDS, "cards")?;
+        }
         job.begin(plans.iter().map(Plan::slice_count).sum());
         let wood = params.wood.of(plant)?;
         let (quadtree, grid) = (params.quadtree, params.sub_slices);
@@ -218,10 +222,6 @@ impl Slicings {
             large_leaf_count += plan.large_leaf_count;
             plan.mark_in_mesh(&mut in_mesh);
             parts.push(plan.bake(&mut baker, params)?);
-        if params.sub_slices > 1 {
-            let cards = plans.iter().map(|plan| plan.card_count(params)).sum();
-            check_limit("sub_slices", cards, MAX_CARDS, "cards")?;
-        }
         }
         let cards = baker.into_cards();
         let levels = (0..params.slice_counts.len()).map(|level| {
@@ -263,7 +263,8 @@ impl Slicings {
     }
 
     /// Index of the level that a view shows, of the first crown where a plant stands as it was built.
-    pub fn level(&self, view: &View) -> usize {
+    #[cfg(test)]
+    fn level(&self, view: &View) -> usize {
         let crown = Crown::alone(glam::DAffine3::from_translation(self.origin));
         self.parts[0].level(view, &crown)
     }
