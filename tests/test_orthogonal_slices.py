@@ -330,6 +330,8 @@ def test_wind_moves_the_treetop_by_itself(plant):
         ({"blend": "square"}, "blend"),
         ({"k": -1}, "k must"),
         ({"k": np.nan}, "k must"),
+        ({"k": np.nan, "blend": "linear"}, "k must"),
+        ({"k": -1, "blend": "linear"}, "k must"),
         ({"k": 100}, "k must"),
         ({"correction": "none"}, "correction"),
         ({"correction": -1}, "correction"),

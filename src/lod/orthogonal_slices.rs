@@ -16,6 +16,7 @@ mod pieces;
 mod tests;
 
 use std::borrow::Cow;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
@@ -42,6 +43,9 @@ use pieces::Pieces;
 
 /// The axes: the first two are those of a technique with two.
 pub const AXES: [DVec3; 3] = [DVec3::Z, DVec3::X, DVec3::Y];
+
+/// Exponents of the power law.
+pub const K_RANGE: RangeInclusive<f64> = 0.0..=64.0;
 
 /// What textures and messages call them.
 const NAMES: [&str; 3] = ["z", "x", "y"];
@@ -169,7 +173,7 @@ impl Shares {
     fn new(law: Law, axis_count: usize) -> Result<Self, LodError> {
         Ok(match law {
             Law::Power { k } => {
-                check_in("k", k, 0.0..=64.0)?;
+                check_in("k", k, K_RANGE)?;
                 Self::Power { k, axis_count }
             }
             Law::Linear if axis_count == 2 => {
@@ -399,11 +403,11 @@ fn needed(
     leaves: &Leaves<'_>,
     shares: &Shares,
     params: &Params,
+    job: &Job,
 ) -> Result<Vec<Option<Option<f64>>>, LodError> {
     let Some(views) = &params.views else { return Ok(vec![Some(None); params.axis_count]) };
     let mixed = |_: &View, _: &Crown, viewer: &Viewer| {
         Ok(shares.of(viewer).into_iter().map(|(axis, _)| axis).collect())
-    job: &Job,
     };
     let needed = viewer::needed(views, leaves, params.axis_count, mixed, job)?;
     Ok(needed.into_iter().map(|per_metre| per_metre.map(Some)).collect())

@@ -9,7 +9,8 @@ use super::lod::{CorrectionFacts, Representation, choice, correction_from, wood_
 use super::plant::Plant;
 use super::run::run;
 use super::view::CameraFacts;
-use crate::lod::orthogonal_slices::{Law, Order, OrthogonalSlices, Params, Treetop};
+use crate::error::check_in;
+use crate::lod::orthogonal_slices::{K_RANGE, Law, Order, OrthogonalSlices, Params, Treetop};
 use crate::texture::Format;
 
 /// Parameters as the Python face states them.
@@ -35,6 +36,8 @@ pub(super) struct OrthogonalSlicesFacts {
 
 impl OrthogonalSlicesFacts {
     fn params(self) -> PyResult<Params> {
+        // one of the laws has no use for it, but a wrong number is wrong all the same
+        check_in("k", self.k, K_RANGE)?;
         let laws = [("power", Law::Power { k: self.k }), ("linear", Law::Linear)];
         let orders = [("slices", Order::Slices), ("exact", Order::Exact)];
         let views = self.views.map(|views| views.iter().map(CameraFacts::view).collect());
