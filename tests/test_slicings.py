@@ -611,11 +611,13 @@ def test_branches_of_a_grown_plant():
     lod = tl.Slicings.build(plant, branch_level=1, slice_count=3, resolution=64)
     assert lod.part_count == 57
     names = {t.name.split(",")[0] for t in lod.textures if t.corners is not None}
-    assert len(names) <= lod.part_count
+    assert len(names) == lod.part_count
     assert all(name.startswith("branch ") for name in names)
-    camera = tl.orbit(plant, elevation_deg=20, size=(64, 64))[0]
-    full = tl.render(tl.FullMesh.build(plant), camera).color[..., 3].mean()
-    assert tl.render(lod, camera).color[..., 3].mean() == pytest.approx(full, rel=0.35)
+    mesh = tl.FullMesh.build(plant)
+    for camera in tl.orbit(plant, elevation_deg=20, size=(64, 64)):
+        full, found = (tl.render(shown, camera).color[..., 3].mean() for shown in (mesh, lod))
+        # branches seen edge on: measured are 0.808 to 0.852 of the coverage
+        assert found / full == pytest.approx(0.83, abs=0.03)
 
 
 def test_slices_lean_in_the_wind_and_stay_at_the_foot(plant):
