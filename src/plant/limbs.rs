@@ -65,7 +65,7 @@ impl Limbs {
     pub fn of(plant: &Plant, job: &Job) -> Result<Option<Self>, LodError> {
         let limbs = match &plant.structure {
             Some(structure) => Self::known(structure),
-            None => Self::guessed(&plant.wood, &plant.foliage, job)?,
+            None => return Self::guessed(&plant.wood, &plant.foliage, job),
         };
         Ok((limbs.parents.len() > 1).then_some(limbs))
     }
@@ -84,15 +84,18 @@ impl Limbs {
         }
     }
 
-    /// The connected pieces of the wood; none without wood.
+    /// The connected pieces of the wood; `None` where there are not two of them.
     ///
     /// # Errors
     /// [`LodError::Cancelled`].
-    pub fn guessed(wood: &Mesh, foliage: &Foliage, job: &Job) -> Result<Self, LodError> {
+    pub fn guessed(wood: &Mesh, foliage: &Foliage, job: &Job) -> Result<Option<Self>, LodError> {
         if wood.is_empty() {
-            return Ok(Self::default());
+            return Ok(None);
         }
         let (wood_limbs, count) = pieces_by_area(wood, job)?;
+        if count < 2 {
+            return Ok(None);
+        }
         let (low, high) = wood.bounds().expect("not empty");
         let spacing = low.as_dvec3().distance(high.as_dvec3()) * SPACING;
         let limb_count = count.min(MAX_LIMB_COUNT);
@@ -108,10 +111,8 @@ impl Limbs {
             }
         }
         let surface = NearPoints::new(points, job)?;
-        let ends: Result<Vec<[End; 2]>, LodError> = triangles
-            .par_iter()
-            .map(|triangles| job.check().map(|()| ends(wood, triangles)))
-            .collect();
+        let ends: Result<Vec<[End; 2]>, LodError> =
+            triangles.par_iter().map(|triangles| ends(wood, triangles, job)).collect();
         let ends = ends?;
         let mut limbs = Self::default();
         let mut radii: Vec<f64> = Vec::new();
@@ -150,7 +151,7 @@ impl Limbs {
             let limb = wood_limbs[triangle];
             if (limb as usize) < limb_count { limb } else { nearest(centroid(wood, triangle)) }
         })?;
-        Ok(limbs)
+        Ok(Some(limbs))
     }
 }
 
@@ -236,34 +237,54 @@ struct End {
 }
 
 /// Both ends of a piece along its longest axis.
-fn ends(mesh: &Mesh, triangles: &[usize]) -> [End; 2] {
-    let corners = || triangles.iter().flat_map(|&t| mesh.corners(t)).map(|p| p.as_dvec3());
-    let mean = corners().sum::<DVec3>() / corners().count() as f64;
+fn ends(mesh: &Mesh, triangles: &[usize], job: &Job) -> Result<[End; 2], LodError> {
+    let each_corner = |look: &mut dyn FnMut(DVec3)| -> Result<(), LodError> {
+        for some in triangles.chunks(TRIANGLES_PER_CHECK) {
+            job.check()?;
+            some.iter().flat_map(|&t| mesh.corners(t)).for_each(|p| look(p.as_dvec3()));
+        }
+        Ok(())
+    };
+    let mut sum = DVec3::ZERO;
+    each_corner(&mut |corner| sum += corner)?;
+    let mean = sum / (3 * triangles.len()) as f64;
     let mut spread = DMat3::ZERO;
-    for corner in corners() {
+    each_corner(&mut |corner| {
         let offset = corner - mean;
         spread += DMat3::from_cols(offset * offset.x, offset * offset.y, offset * offset.z);
-    }
+    })?;
     let axis = longest_axis(&spread);
     let along = |p: DVec3| (p - mean).dot(axis);
-    let (low, high) = corners().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| {
-        (low.min(along(p)), high.max(along(p)))
-    });
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    each_corner(&mut |corner| {
+        low = low.min(along(corner));
+        high = high.max(along(corner));
+    })?;
     let length = high - low;
-    [1.0, -1.0].map(|side| {
+    let end_at = |side: f64| {
         // metres from this end; rounding must not leave it empty
         let depth = |p: DVec3| if side > 0.0 { along(p) - low } else { high - along(p) };
-        let within = |share: f64| corners().filter(move |&p| depth(p) <= share * length);
         let middle_of = |share: f64| {
-            let (sum, count) = within(share).fold((DVec3::ZERO, 0.0), |(s, n), p| (s + p, n + 1.0));
-            sum / count
+            let (mut sum, mut count) = (DVec3::ZERO, 0.0);
+            each_corner(&mut |corner| {
+                if depth(corner) <= share * length {
+                    sum += corner;
+                    count += 1.0;
+                }
+            })?;
+            Ok::<DVec3, LodError>(sum / count)
         };
-        let end = middle_of(END);
-        let (sum, count) = within(END)
-            .map(|p| (p - end).reject_from_normalized(axis).length())
-            .fold((0.0, 0.0), |(sum, count), distance| (sum + distance, count + 1.0));
-        End { middle: middle_of(BASE), radius: sum / count }
-    })
+        let end = middle_of(END)?;
+        let (mut sum, mut count) = (0.0, 0.0);
+        each_corner(&mut |corner| {
+            if depth(corner) <= END * length {
+                sum += (corner - end).reject_from_normalized(axis).length();
+                count += 1.0;
+            }
+        })?;
+        Ok::<End, LodError>(End { middle: middle_of(BASE)?, radius: sum / count })
+    };
+    Ok([end_at(1.0)?, end_at(-1.0)?])
 }
 
 /// The direction along which a spread is largest: power iteration would stall where two are equal, so
@@ -363,7 +384,8 @@ mod tests {
             Vec3::new(-3.0, 3.2, 0.0),
             Vec3::Y * 6.3,
         ]);
-        let found = Limbs::guessed(&wood(), &foliage, &Job::default()).expect("runs");
+        let found = Limbs::guessed(&wood(), &foliage, &Job::default());
+        let found = found.expect("runs").expect("four pieces");
         // by area: trunk, the longer limb, the other limb, twig
         assert_eq!(found.parents, [None, Some(0), Some(0), Some(1)], "what grows from what");
         let starts = [DVec3::ZERO, DVec3::Y * 3.0, DVec3::Y * 4.0, DVec3::new(-2.0, 3.0, 0.0)];
@@ -384,7 +406,8 @@ mod tests {
             (Vec3::Y * 3.0, Vec3::new(-3.0, 3.0, 0.0), 0.12),
             (Vec3::Y * 3.0, Vec3::new(-1.5, 3.0, 1.5), 0.1),
         ]);
-        let found = Limbs::guessed(&wood, &leaves(&[Vec3::ZERO]), &Job::default()).expect("runs");
+        let found = Limbs::guessed(&wood, &leaves(&[Vec3::ZERO]), &Job::default());
+        let found = found.expect("runs").expect("three pieces");
         assert_eq!(found.parents, [None, Some(0), Some(0)], "not one from the other");
     }
 
@@ -414,17 +437,18 @@ mod tests {
     fn wood_of_one_piece_has_no_limbs() {
         let foliage = leaves(&[Vec3::Y]);
         let one = Limbs::guessed(&tubes(&[(Vec3::ZERO, Vec3::Y, 0.1)]), &foliage, &Job::default());
-        let one = one.expect("runs");
-        assert_eq!((one.parents, one.leaf_limbs), (vec![None], vec![0]), "a trunk");
-        let none = Limbs::guessed(&Mesh::default(), &foliage, &Job::default()).expect("runs");
-        assert_eq!(none, Limbs::default(), "no wood");
+        assert_eq!(one, Ok(None), "a trunk");
+        let none = Limbs::guessed(&Mesh::default(), &foliage, &Job::default());
+        assert_eq!(none, Ok(None), "no wood");
         let points = tubes(&[(Vec3::ZERO, Vec3::Y, 0.0), (Vec3::Y * 2.0, Vec3::Y * 3.0, 0.0)]);
-        let thin = Limbs::guessed(&points, &foliage, &Job::default()).expect("runs");
+        let thin = Limbs::guessed(&points, &foliage, &Job::default());
+        let thin = thin.expect("runs").expect("two pieces");
         assert_eq!(thin.parents, [None, Some(0)], "without thickness");
         let stopped = Job::default();
         stopped.cancel();
         let result = Limbs::guessed(&wood(), &foliage, &stopped);
         assert_eq!(result, Err(LodError::Cancelled), "stopped");
+        assert_eq!(ends(&wood(), &[0, 1], &stopped), Err(LodError::Cancelled), "inside a piece");
     }
 
     #[test]
