@@ -51,7 +51,9 @@ use crate::lod::foliage_hierarchy::zone::Zone;
 use crate::lod::solid::ready_to_draw;
 use crate::lod::wood::Wood;
 use crate::lod::wood_levels::WoodLevels;
-use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation, largest_scale};
+use crate::lod::{
+    Crown, Footprint, ListBuilder, NamedTexture, Representation, foot_of, largest_scale,
+};
 use crate::plant::Plant;
 use crate::texture::Filter;
 use crate::view::View;
@@ -157,6 +159,8 @@ struct Built {
     ball: (DVec3, f64),
     quads: Quads,
     wood: WoodLevels,
+    /// Of the plant's own meshes, beyond which quads may reach.
+    foot: DVec3,
     origin: DVec3,
 }
 
@@ -250,12 +254,15 @@ impl FoliageHierarchy {
         let leaf_count = forest.leaf_count as usize;
         let (low, high) = drawn.bounds(leaf_count);
         let middle = (low + high) * 0.5;
+        let of_wood = wood.bounds().map(|(low, high)| (low.as_vec3(), high.as_vec3()));
+        let boxes = plant.foliage.mesh.bounds().into_iter().chain(of_wood);
         let built = Built {
             order: DepthFirst::new(&forest),
             area: forest.roots().map(|root| forest.areas[root as usize]).sum(),
             forest: Arc::new(forest),
             ball: (middle, (high - low).length() * 0.5),
             quads: drawn,
+            foot: foot_of(boxes),
             wood,
             origin: plant.origin,
         };
@@ -417,6 +424,10 @@ fn pixel_size(view: &View, crown: &Crown, (center, radius): (DVec3, f64)) -> f64
 impl Representation for FoliageHierarchy {
     fn bounds(&self) -> (DVec3, DVec3) {
         self.bounds
+    }
+
+    fn foot(&self) -> DVec3 {
+        self.built.foot
     }
 
     fn origin(&self) -> DVec3 {

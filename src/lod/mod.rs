@@ -235,9 +235,11 @@ pub trait Representation: Debug + Send + Sync {
         false
     }
 
-    /// Metres that a wind whose reach is 1 moves any part of it, at most: as far as its top is sheared.
+    /// Metres that a wind whose reach is 1 moves any part of it, at most: as far as its top is sheared,
+    /// or what is drawn below its foot.
     fn sway_reach(&self) -> f64 {
-        self.bounds().1.y - self.foot().y
+        let ((low, high), foot) = (self.bounds(), self.foot());
+        (high.y - foot.y).max(foot.y - low.y)
     }
 
     /// World position of local zero when the plant stands where its file put it.

@@ -32,8 +32,8 @@ use crate::job::{ELEMENTS_PER_CHECK, Job};
 use crate::lod::leaves::Leaves;
 use crate::lod::solid::{Solid, blend_of, ready_to_draw, surface_of, textures_of};
 use crate::lod::wood::Wood;
-use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation};
-use crate::plant::{Material, Plant};
+use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation, foot_of};
+use crate::plant::{Material, Mesh, Plant};
 use crate::random::{Purpose, Stream};
 use crate::texture::Filter;
 use crate::view::View;
@@ -138,6 +138,7 @@ struct Built {
     center: DVec3,
     /// Of all leaves in their own size.
     bounds: (DVec3, DVec3),
+    foot: DVec3,
     origin: DVec3,
 }
 
@@ -231,9 +232,8 @@ impl StochasticPruning {
             job,
         )?;
         let leaf_width = (area / leaf_count as f64).sqrt();
-        let boxes =
-            [Some(mesh), Some(&wood)].into_iter().flatten().filter_map(|mesh| mesh.bounds());
-        let (low, high) = boxes
+        let boxes = || [mesh, &wood].into_iter().filter_map(Mesh::bounds);
+        let (low, high) = boxes()
             .map(|(low, high)| (low.as_dvec3(), high.as_dvec3()))
             .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
             .expect("there are leaves");
@@ -258,6 +258,7 @@ impl StochasticPruning {
             center: leaves.center,
             leaf_reach,
             bounds: (low, high),
+            foot: foot_of(boxes()),
             origin: plant.origin,
         };
         Ok(Self { built: Arc::new(built), fixed: None })
@@ -421,6 +422,10 @@ impl Representation for StochasticPruning {
         // at z times the distance at which pruning begins leaves are 1/z as wide and, for they are
         // z^(-log_h 2) as many, z^(log_h 2 / 2) <= z times as large; twice the area while some shrink
         SQRT_2 * params.leaf_width_px * leaf_reach / leaf_width
+    }
+
+    fn foot(&self) -> DVec3 {
+        self.built.foot
     }
 
     fn origin(&self) -> DVec3 {

@@ -8,7 +8,7 @@ use crate::lod::made::{
     cameras, crown_at, crowns, draw, emit, facing, parallel, perspective, plant, plant_at,
     random_crown,
 };
-use crate::plant::{AlphaMode, Mesh};
+use crate::plant::AlphaMode;
 
 fn params() -> Params {
     Params {
@@ -122,6 +122,18 @@ fn from_near_it_is_the_full_mesh() {
         let fewer = lod.at(0.5).expect("in range");
         assert!(draw(&fewer, &view).color != expected.color, "the check can fail");
     }
+}
+
+#[test]
+fn the_foot_is_the_plants_whatever_its_leaves_have_grown_to() {
+    let wood = [facing(0.5, -1.0, 0.0, 0.4)];
+    let plant = plant_at(DVec3::ZERO, &wood, &random_crown(100));
+    let full =
+        FullMesh::build(&plant, Wood::Full, Filter::Bilinear, &Job::default()).expect("valid");
+    let lod = build(&plant, &params());
+    let few = lod.at(0.01).expect("in range");
+    assert!(few.bounds().0.y < full.bounds().0.y - 0.5, "the one that is left is large");
+    assert_eq!((few.foot(), lod.foot()), (full.foot(), full.foot()), "on the ground");
 }
 
 #[test]
