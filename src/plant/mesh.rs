@@ -131,6 +131,25 @@ impl Mesh {
         Ok(())
     }
 
+    /// Adds another mesh's vertices and triangles after its own; both together are as many as a plant
+    /// may have.
+    pub fn append(&mut self, other: &Self) {
+        let count = |length: usize| u32::try_from(length).expect("checked by the plant");
+        let (vertices, triangles) = (count(self.positions.len()), count(self.triangles.len()));
+        self.positions.extend_from_slice(&other.positions);
+        self.normals.extend_from_slice(&other.normals);
+        self.uvs.extend_from_slice(&other.uvs);
+        self.base.extend_from_slice(&other.base);
+        self.front.extend_from_slice(&other.front);
+        self.back.extend_from_slice(&other.back);
+        let moved = |corners: &[u32; 3]| corners.map(|vertex| vertex + vertices);
+        self.triangles.extend(other.triangles.iter().map(moved));
+        self.parts.extend(other.parts.iter().map(|part| Part {
+            material: part.material,
+            triangles: part.triangles.start + triangles..part.triangles.end + triangles,
+        }));
+    }
+
     /// The same triangles with only the vertices they use, in order of first use.
     #[must_use]
     pub fn without_unused_vertices(self) -> Self {
@@ -210,6 +229,31 @@ mod tests {
         assert_eq!(mesh.area(), 6.0, "3 * 4 / 2");
         assert_eq!(area_normal(mesh.corners(0)), DVec3::Z * 6.0, "counter-clockwise from +z");
         assert_eq!(Mesh::default().bounds(), None, "nothing");
+    }
+
+    #[test]
+    fn a_mesh_appended_to_another_keeps_its_triangles() {
+        let mut both = triangle();
+        let second = Mesh {
+            base: vec![Vec4::ZERO; 4],
+            front: vec![Vec3::X; 4],
+            back: vec![Vec3::Y; 4],
+            uvs: vec![Vec2::ONE; 4],
+            normals: vec![Vec3::X; 4],
+            triangles: vec![[3, 2, 1]],
+            parts: vec![Part { material: 1, triangles: 0..1 }],
+            ..triangle()
+        };
+        both.append(&second);
+        both.check(2, &Job::default()).expect("valid");
+        assert_eq!(both.triangles, [[0, 1, 2], [7, 6, 5]], "corners after the first's vertices");
+        assert_eq!((both.corners(0), both.corners(1)), (triangle().corners(0), second.corners(0)));
+        assert_eq!(both.triangle_materials().collect::<Vec<_>>(), [0, 1], "each its own");
+        assert_eq!((both.normals[4], both.uvs[4], both.base[4]), (Vec3::X, Vec2::ONE, Vec4::ZERO));
+        assert_eq!((both.front[4], both.back[4]), (Vec3::X, Vec3::Y), "its light");
+        let mut alone = Mesh::default();
+        alone.append(&second);
+        assert_eq!(alone, second, "to nothing");
     }
 
     #[test]
