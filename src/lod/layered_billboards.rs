@@ -16,6 +16,8 @@ mod content;
 mod depth;
 mod frame;
 mod groups;
+#[cfg(test)]
+mod motion_tests;
 mod pose;
 mod slabs;
 #[cfg(test)]
@@ -31,7 +33,7 @@ use crate::job::Job;
 use crate::lod::leaves::{Leaves, Placed};
 use crate::lod::solid::Solid;
 use crate::lod::wood::Wood;
-use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation};
+use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation, foot_of};
 use crate::plant::limbs::Limbs;
 use crate::plant::{Mesh, Plant};
 use crate::raster::samples;
@@ -44,7 +46,7 @@ use content::Content;
 use depth::Depth;
 use frame::{Frame, Grid};
 pub use pose::Motion;
-use pose::{Joint, facing, in_wind, turned};
+use pose::{Joint, facing, in_wind, swing, turned};
 use slabs::Slabs;
 
 /// More layers than this are taken for a mistake.
@@ -150,7 +152,7 @@ pub struct Layer {
     pub texels: Option<[u32; 4]>,
     /// Leaves that it shows, or whose centres it shows where leaves are cut.
     pub leaf_count: usize,
-    /// Triangles of wood that go with it.
+    /// Triangles of the wood that is drawn which go with it, baked or as a mesh.
     pub wood_triangle_count: usize,
 }
 
@@ -167,6 +169,7 @@ pub struct LayeredBillboards {
     frame: Frame,
     radius: f64,
     bounds: (DVec3, DVec3),
+    foot: DVec3,
     reach: f64,
     origin: DVec3,
     turn: Turn,
@@ -255,6 +258,9 @@ impl LayeredBillboards {
             WoodAs::Mesh => content::by_layer(&wood, &plant.wood, &wood_layers, layers.len()),
             WoodAs::Baked => content::ByLayer::default(),
         };
+        for (layer, count) in layers.iter_mut().zip(mesh.counts()) {
+            layer.wood_triangle_count = count;
+        }
         let solid = Solid::new(&[(&mesh.mesh, mesh.ids)], &plant.materials, Filter::Bilinear, job)?;
         let pieces = solid.cut(&mesh.ends);
         let pieces = pieces.into_iter().enumerate().filter(|(_, piece)| !piece.is_empty());
@@ -267,6 +273,7 @@ impl LayeredBillboards {
             frame,
             radius: leaves.radius,
             bounds: (DVec3::ZERO, DVec3::ZERO),
+            foot: foot_of([&plant.foliage.mesh, &wood].into_iter().filter_map(Mesh::bounds)),
             reach: 0.0,
             origin: plant.origin,
             turn: params.turn,
@@ -340,8 +347,7 @@ impl LayeredBillboards {
         // a lean moves what hangs from a joint by its distance from there, at most
         let mut reaches: Vec<f64> = Vec::with_capacity(self.joints.len());
         for joint in &self.joints {
-            let level = i32::try_from(joint.level).expect("few levels");
-            let scale = if level == 0 { 1.0 } else { libm::pow(self.growth, f64::from(level)) };
+            let scale = swing(self.growth, joint.level);
             let farthest = (joint.anchor - low).abs().max((high - joint.anchor).abs()).length();
             reaches.push(joint.parent.map_or(0.0, |parent| reaches[parent]) + scale * farthest);
         }
@@ -360,7 +366,10 @@ impl LayeredBillboards {
             return;
         }
         for crown in crowns {
-            let Some(poses) = self.moved(view, crown) else { continue };
+            let Some(poses) = self.moved(view, crown) else {
+                self.solid.emit(view, std::slice::from_ref(crown), state, builder);
+                continue;
+            };
             for (layer, piece) in &self.limbs {
                 let placed = posed(crown, &poses[*layer]);
                 piece.emit(view, std::slice::from_ref(&placed), state, builder);
@@ -481,7 +490,8 @@ fn by_limbs(
     let mut leaf_counts = vec![0; groups.len()];
     limbs.leaf_limbs.iter().for_each(|&limb| leaf_counts[group_of[limb as usize]] += 1);
     let mut wood_counts = vec![0; groups.len()];
-    wood_layers.iter().for_each(|&layer| wood_counts[layer] += 1);
+    let baked_wood = &element_limbs[..content.wood_count()];
+    baked_wood.iter().for_each(|&limb| wood_counts[group_of[limb as usize]] += 1);
     let layer = |(number, group): (usize, &groups::Group)| Layer {
         name: group.name.clone(),
         parent: group.parent,
@@ -515,7 +525,7 @@ fn by_slabs(
     params: &Params,
 ) -> Hierarchy {
     let slabs = Slabs::new(leaves, frame.toward, params.layer_count);
-    let foot = content::foot(plant);
+    let foot = foot_of([&plant.foliage.mesh, &plant.wood].into_iter().filter_map(Mesh::bounds));
     let mut leaf_counts = vec![0; slabs.count()];
     for center in &leaves.leaf_centers[content.wood_count()..] {
         leaf_counts[slabs.holding(center.dot(frame.toward))] += 1;
@@ -576,6 +586,10 @@ fn needed_per_metre(leaves: &Leaves<'_>, params: &Params) -> Result<f64, LodErro
 impl Representation for LayeredBillboards {
     fn bounds(&self) -> (DVec3, DVec3) {
         self.bounds
+    }
+
+    fn foot(&self) -> DVec3 {
+        self.foot
     }
 
     fn sways(&self) -> bool {

@@ -58,7 +58,9 @@ class BillboardLayer:
     leaf_count : int
         Leaves that it shows. A leaf that is cut between slabs counts where its centre is.
     wood_triangle_count : int
-        Triangles of the plant's wood that move with it.
+        Triangles of wood that are baked into it or, where the wood stays a mesh, move with it: all
+        with the middle one of slabs. Wood that is cut between slabs counts where its centre is.
+        0 without wood.
     """
 
     name: str
@@ -188,10 +190,12 @@ class LayeredBillboards(Technique):
             in yaw and in pitch, on wood that stays a mesh.
         max_turn_deg : float, default 180
             With 'viewer': by how many degrees at most, each of yaw and pitch, in [0, 180].
+            Checked whatever `turn` is.
         motion : {'rotate', 'shear'}, default 'rotate'
             What the wind does to a layer: turn it about its anchor, or shear it there.
         growth : float, default 1.25
-            How many times as far as the layer below a layer swings of its own, in [0, 10].
+            How many times as far as the layer below a layer swings of its own, in [0, 10]; no layer
+            swings more than 1000 times as far as the trunk.
         drawing : {'blend', 'test'}, default 'blend'
             Blended far to near, or tested against one half, with depth.
         resolution : int, default 512
@@ -202,8 +206,9 @@ class LayeredBillboards(Technique):
         format : {'rgba8', 'rgb5a1', 'rgb8', 'palette8', 'bc1', 'bc3', 'bc7'}, default 'rgba8'
             How texels are stored, and so what is drawn of them; see `TextureFormat`.
         wood_as : {'auto', 'baked', 'mesh'}, default 'auto'
-            Whether the wood is in the layers or stays a mesh, which moves with them. 'auto' bakes
-            it unless layers turn to the viewer or `wood_triangle_count` is given.
+            Whether the wood is in the layers or stays a mesh, which moves with them: with the
+            middle one of slabs. 'auto' bakes it unless layers turn to the viewer or
+            `wood_triangle_count` is given.
         views : sequence of Camera, optional
             The cameras that will look: layers get no more texels than the nearest of them has
             pixels. Default: as many as `resolution` says.

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 use rayon::prelude::*;
 
 use crate::error::LodError;
@@ -31,24 +31,10 @@ impl<'a> Content<'a> {
             return Ok(Self { plant: Cow::Borrowed(plant), wood_count: 0 });
         }
         let wood_count = wood.triangles.len();
-        let count = |length: usize| u32::try_from(length).expect("checked by the plant");
         let mut mesh = wood.clone();
-        let leaves = &plant.foliage.mesh;
-        let first_vertex = count(mesh.positions.len());
-        mesh.positions.extend(&leaves.positions);
-        mesh.normals.extend(&leaves.normals);
-        mesh.uvs.extend(&leaves.uvs);
-        mesh.base.extend(&leaves.base);
-        mesh.front.extend(&leaves.front);
-        mesh.back.extend(&leaves.back);
+        mesh.append(&plant.foliage.mesh);
         job.check()?;
-        let moved = |corners: &[u32; 3]| corners.map(|vertex| vertex + first_vertex);
-        mesh.triangles.extend(leaves.triangles.iter().map(moved));
-        let first = count(wood_count);
-        mesh.parts.extend(leaves.parts.iter().map(|part| Part {
-            material: part.material,
-            triangles: part.triangles.start + first..part.triangles.end + first,
-        }));
+        let first = u32::try_from(wood_count).expect("checked by the plant");
         let leaf_offsets = plant.foliage.leaf_offsets.iter().map(|&offset| offset + first);
         let offsets = (0..first).chain(leaf_offsets).collect();
         let elements = Plant {
@@ -121,6 +107,14 @@ pub(super) struct ByLayer {
     pub(super) ids: Vec<u32>,
 }
 
+impl ByLayer {
+    /// Triangles of each layer.
+    pub(super) fn counts(&self) -> impl Iterator<Item = usize> {
+        let starts = std::iter::once(&0).chain(&self.ends);
+        starts.zip(&self.ends).map(|(start, end)| (end - start) as usize)
+    }
+}
+
 /// Sorts wood by layer; `layers` has a layer for each triangle of all the plant's wood, of which `wood`
 /// is a part or a simpler form on some of the same vertices.
 pub(super) fn by_layer(wood: &Mesh, all: &Mesh, layers: &[usize], layer_count: usize) -> ByLayer {
@@ -171,11 +165,4 @@ fn layers_by_place(wood: &Mesh, all: &Mesh, layers: &[usize]) -> Vec<usize> {
         known[at].1
     };
     wood.triangles.iter().map(layer).collect()
-}
-
-/// The middle of the lower side of a plant's box.
-pub(super) fn foot(plant: &Plant) -> DVec3 {
-    let (low, high) = plant.local_bounds();
-    let (low, high) = (low.as_dvec3(), high.as_dvec3());
-    DVec3::new((low.x + high.x) * 0.5, low.y, (low.z + high.z) * 0.5)
 }

@@ -171,7 +171,7 @@ impl<'a> Parting<'a> {
         }
         let side_branches = self.groups[old].roots.len() == 1;
         let parent = if side_branches { Some(old) } else { self.groups[old].parent };
-        self.groups[old].roots.retain(|root| !moved.contains(root));
+        self.groups[old].roots.retain(|root| moved.binary_search(root).is_err());
         self.groups.push(Open { parent, roots: moved });
         for number in 0..new {
             let grows_from = self.limbs.parents[self.groups[number].roots[0] as usize];
@@ -180,7 +180,7 @@ impl<'a> Parting<'a> {
         true
     }
 
-    /// The best way to part a group: its gain, and the limbs that leave.
+    /// The best way to part a group: its gain, and the limbs that leave, sorted.
     fn parted(&self, group: &Open, number: usize, moments: &[Moment]) -> Option<(f64, Vec<u32>)> {
         let atom = |limb: u32| {
             let moment = moments[limb as usize];
@@ -275,7 +275,7 @@ struct Atom {
 }
 
 /// The best cut across the axis along which atoms lie farthest apart: what it gains, and the limbs on
-/// the side that does not stay.
+/// the side that does not stay, sorted.
 fn part(mut atoms: Vec<Atom>) -> Option<(f64, Vec<u32>)> {
     let mut all = Moment::default();
     atoms.iter().for_each(|atom| all.add(atom.moment));

@@ -39,10 +39,19 @@ pub(super) struct Joint {
     pub(super) lag: f64,
 }
 
+/// No layer swings more than so many times as far as the plant: what leans that far lies flat, and sums
+/// along the longest chain of layers stay finite.
+const MAX_SWING: f64 = 1e3;
+
+/// How many times as far as the whole plant a layer swings.
+pub(super) fn swing(growth: f64, level: u32) -> f64 {
+    libm::pow(growth, f64::from(level)).min(MAX_SWING)
+}
+
 /// How far each layer leans, in metres a metre from its anchor.
 ///
 /// What stands on the ground swings as the whole plant would. The others swing about where that puts
-/// them, at phases of their own, `growth` times as far for each level.
+/// them, at phases of their own, `growth` times as far for each level, as far as [`MAX_SWING`].
 pub(super) fn slopes(joints: &[Joint], gust: &Gust, growth: f64) -> Vec<f64> {
     let (group, copy) = gust.key;
     let mut phases = Stream::new(gust.wind.seed, PHASE, u64::from(group) << 32 | u64::from(copy));
@@ -54,8 +63,7 @@ pub(super) fn slopes(joints: &[Joint], gust: &Gust, growth: f64) -> Vec<f64> {
             if joint.parent.is_none() {
                 return gust.slope_at(phase - joint.lag);
             }
-            let level = i32::try_from(joint.level).expect("few levels");
-            (gust.slope_at(own) - gust.wind.lean) * libm::pow(growth, f64::from(level))
+            (gust.slope_at(own) - gust.wind.lean) * swing(growth, joint.level)
         })
         .collect()
 }

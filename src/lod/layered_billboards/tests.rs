@@ -3,31 +3,30 @@
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3, Vec4};
+use glam::{DAffine3, DVec2, DVec3, Vec3, Vec4};
 
 use super::frame::{Frame, Grid};
 use super::groups::{Moment, groups};
-use super::pose::{Joint, Motion, facing, poses, slopes};
+use super::pose::Motion;
 use super::slabs::Slabs;
 use super::{Drawing, Grouping, LayeredBillboards, Params, Turn, WoodAs};
 use crate::draw_list::{Blend, DrawList};
 use crate::error::LodError;
 use crate::job::{self, Job};
+use crate::lod::Representation;
 use crate::lod::full_mesh::FullMesh;
 use crate::lod::leaves::{Leaves, Placed};
 use crate::lod::made::{
     Leaf, cameras, crown_at, crowns, draw, emit, facing as square, from_azimuth, parallel,
     perspective, plant, plant_at, random_crown,
 };
-use crate::lod::wind::{Gust, Wind};
 use crate::lod::wood::Wood;
-use crate::lod::{Crown, Representation};
 use crate::plant::limbs::Limbs;
 use crate::plant::{Branch, Plant, Structure};
 use crate::texture::{Filter, Format};
 use crate::view::View;
 
-fn params(layer_count: usize, resolution: u32) -> Params {
+pub(super) fn params(layer_count: usize, resolution: u32) -> Params {
     Params {
         direction: DVec3::Z,
         grouping: Grouping::Auto,
@@ -46,11 +45,11 @@ fn params(layer_count: usize, resolution: u32) -> Params {
     }
 }
 
-fn build(plant: &Plant, params: &Params) -> LayeredBillboards {
+pub(super) fn build(plant: &Plant, params: &Params) -> LayeredBillboards {
     LayeredBillboards::build(plant, params, &Job::default()).expect("valid")
 }
 
-const FRONT: Frame = Frame { right: DVec3::X, up: DVec3::Y, toward: DVec3::Z };
+pub(super) const FRONT: Frame = Frame { right: DVec3::X, up: DVec3::Y, toward: DVec3::Z };
 
 /// Two limbs on a trunk, and a twig on the first limb.
 ///
@@ -61,7 +60,7 @@ const FRONT: Frame = Frame { right: DVec3::X, up: DVec3::Y, toward: DVec3::Z };
 ///   └─0─┘
 ///     0
 /// ```
-fn tree() -> Plant {
+pub(super) fn tree() -> Plant {
     let wood = [
         (Vec3::Y * 2.0, Vec3::X * 0.1, Vec3::Y * 2.0),
         (Vec3::new(-1.0, 2.0, 0.0), Vec3::X, Vec3::Y * 0.05),
@@ -240,128 +239,6 @@ fn groups_without_area_are_not_parted() {
     assert_eq!(groups(&limbs, &nothing, 9, &stopped), Err(LodError::Cancelled), "stopped");
 }
 
-fn joint(parent: Option<usize>, anchor: DVec3, level: u32) -> Joint {
-    Joint { parent, anchor, level, lag: 0.0 }
-}
-
-#[test]
-fn a_child_goes_where_its_parent_puts_it() {
-    // slope 3/4: cosine 4/5, sine 3/5; twice that angle: 7/25 and 24/25
-    let joints = [joint(None, DVec3::ZERO, 0), joint(Some(0), DVec3::Y * 2.0, 1)];
-    let turned = poses(&joints, &[0.75, 0.75], &FRONT, Motion::Rotate);
-    let near = |a: DVec3, b: DVec3| a.distance(b) < 1e-12;
-    let [trunk, limb] = [turned[0], turned[1]];
-    assert!(near(trunk.transform_point3(DVec3::ZERO), DVec3::ZERO), "the base stays");
-    let joint_at = DVec3::new(1.2, 1.6, 0.0);
-    assert!(near(trunk.transform_point3(DVec3::Y * 2.0), joint_at), "where the limb hangs");
-    assert!(near(limb.transform_point3(DVec3::Y * 2.0), joint_at), "and hangs on");
-    let tip = limb.transform_point3(DVec3::new(0.0, 3.0, 5.0));
-    assert!(near(tip, joint_at + DVec3::new(0.96, 0.28, 5.0)), "turned twice, in its plane: {tip}");
-    let expected =
-        DMat3::from_cols(DVec3::new(0.28, -0.96, 0.0), DVec3::new(0.96, 0.28, 0.0), DVec3::Z);
-    assert!(limb.matrix3.abs_diff_eq(expected, 1e-12), "{}", limb.matrix3);
-    let sheared = poses(&joints, &[0.75, 0.5], &FRONT, Motion::Shear);
-    assert_eq!(sheared[0].transform_point3(DVec3::new(1.0, 4.0, 7.0)), DVec3::new(4.0, 4.0, 7.0));
-    // at its anchor 2 * 0.75, then a metre above it 0.75 of the trunk's and 0.5 of its own
-    assert_eq!(sheared[1].transform_point3(DVec3::Y * 3.0), DVec3::new(2.75, 3.0, 0.0), "both");
-}
-
-#[test]
-fn without_wind_nothing_moves_by_a_bit() {
-    let frame = Frame::new(DVec3::new(0.3, 0.2, 0.9)).expect("valid");
-    let joints = [
-        joint(None, DVec3::new(0.1, 0.2, 0.3), 0),
-        joint(Some(0), DVec3::new(1.1, 7.2, -0.3), 1),
-        joint(Some(1), DVec3::new(1e6, 1e-6, 0.7), 2),
-    ];
-    for motion in [Motion::Rotate, Motion::Shear] {
-        let still = poses(&joints, &[0.0; 3], &frame, motion);
-        assert_eq!(still, [DAffine3::IDENTITY; 3], "{motion:?}");
-    }
-}
-
-fn wind(lean: f64, sway: f64) -> Wind {
-    Wind { lean, sway, period_secs: 2.0, toward: None, seed: 5 }
-}
-
-#[test]
-fn tips_swing_farther_than_the_trunk() {
-    let joints = [
-        joint(None, DVec3::ZERO, 0),
-        joint(Some(0), DVec3::Y, 1),
-        joint(Some(1), DVec3::Y * 2.0, 2),
-    ];
-    let mut most = [0.0_f64; 3];
-    let mut moved = [0.0_f64; 3];
-    for step in 0..200 {
-        let gust = Gust { wind: wind(0.0, 0.1), time_secs: f64::from(step) * 0.01, key: (0, 0) };
-        let found = slopes(&joints, &gust, 1.5);
-        let posed = poses(&joints, &found, &FRONT, Motion::Rotate);
-        for layer in 0..3 {
-            most[layer] = most[layer].max(found[layer].abs());
-            let tip = joints[layer].anchor + DVec3::Y;
-            moved[layer] = moved[layer].max(posed[layer].transform_point3(tip).distance(tip));
-        }
-        assert_eq!(posed[0].transform_point3(DVec3::ZERO), DVec3::ZERO, "the base stays");
-    }
-    for (layer, expected) in [0.1, 0.15, 0.225].into_iter().enumerate() {
-        // the farthest of 200 times is within a hundredth of a swing of the end
-        assert!(most[layer] <= expected && most[layer] > 0.999 * expected, "{layer}: {most:?}");
-    }
-    assert!(moved[0] < moved[1] && moved[1] < moved[2], "{moved:?}");
-    let lean = Gust { wind: wind(0.2, 0.0), time_secs: 3.0, key: (0, 0) };
-    assert_eq!(slopes(&joints, &lean, 1.5), [0.2, 0.0, 0.0], "a lean is the trunk's alone");
-}
-
-#[test]
-fn no_layer_is_moved_beyond_its_reach() {
-    for (motion, at_least) in [(Motion::Rotate, 5.0), (Motion::Shear, 9.0)] {
-        let lod = build(&tree(), &Params { motion, growth: 1.0, ..params(4, 32) });
-        // all lean the same way at once, as far as a wind whose reach is 1 may lean them
-        let places = poses(&lod.joints, &[1.0; 4], &lod.frame, motion);
-        let moved = lod.cards.all().iter().flat_map(|card| {
-            card.corners.map(|corner| places[card.layer].transform_point3(corner).distance(corner))
-        });
-        let most = moved.fold(0.0, f64::max);
-        let reach = lod.sway_reach();
-        assert!(at_least < most && most <= reach, "{motion:?}: {most} of {reach}");
-    }
-}
-
-#[test]
-fn copies_and_layers_have_phases_of_their_own() {
-    let joints =
-        [joint(None, DVec3::ZERO, 0), joint(Some(0), DVec3::Y, 1), joint(Some(0), DVec3::X, 1)];
-    let at = |copy: u32, seed: u64| {
-        let wind = Wind { seed, ..wind(0.0, 1.0) };
-        slopes(&joints, &Gust { wind, time_secs: 0.3, key: (0, copy) }, 1.0)
-    };
-    assert_eq!(at(4, 1), at(4, 1), "always the same");
-    assert_ne!(at(4, 1)[0], at(5, 1)[0], "another copy");
-    assert_ne!(at(4, 1)[1], at(5, 1)[1], "and its limbs");
-    assert_ne!(at(4, 1)[1], at(4, 1)[2], "two limbs");
-    assert_ne!(at(4, 1), at(4, 2), "another seed");
-}
-
-#[test]
-fn layers_face_the_viewer_as_far_as_they_may() {
-    let up = |degrees: f64| DVec3::new(0.0, degrees.to_radians().sin(), degrees.to_radians().cos());
-    let quarter = std::f64::consts::FRAC_PI_2;
-    let faces = |direction: DVec3, max_turn: f64| facing(&FRONT, direction, max_turn) * DVec3::Z;
-    let near = |a: DVec3, b: DVec3| a.distance(b) < 1e-12;
-    assert!(facing(&FRONT, DVec3::Z * 7.0, 1.0).abs_diff_eq(DMat3::IDENTITY, 1e-15), "as baked");
-    assert!(near(faces(from_azimuth(70.0) * 3.0, quarter), from_azimuth(70.0)), "yaw");
-    assert!(near(faces(up(-40.0), quarter), up(-40.0)), "pitch");
-    let both = DVec3::new(1.0, 2.0, 3.0).normalize();
-    assert!(near(faces(both, quarter), both), "both");
-    assert!(near(faces(from_azimuth(70.0), 0.5), from_azimuth(0.5_f64.to_degrees())), "limited");
-    assert!(near(faces(from_azimuth(-170.0), 4.0), from_azimuth(-170.0)), "behind");
-    assert!(near(faces(DVec3::Y, 2.0), DVec3::Y), "from straight above");
-    let turn = facing(&FRONT, both, quarter);
-    assert!((turn.determinant() - 1.0).abs() < 1e-12, "a turn");
-    assert!((turn * DVec3::X).y.abs() < 1e-12, "upright");
-}
-
 #[test]
 fn texels_lie_on_one_grid() {
     let bounds = (DVec2::new(-1.0, -2.0), DVec2::new(3.0, 6.0));
@@ -459,6 +336,11 @@ fn slabs_are_the_picture_from_where_they_were_baked() {
             let mut aside = view.clone();
             aside.eye += aside.right * 0.05;
             assert!(different(&a, &one_sample(&lod, &aside), STORED).1 > 100, "moved");
+            let here = [crown_at(DAffine3::from_translation(lod.origin()), 0)];
+            let mut fewer = emit(&lod, &view, &here);
+            assert_eq!(fewer.items.len(), 1, "all of them");
+            fewer.items[0].primitives.end -= 1;
+            assert!(different(&a, &rendered(&fewer, &view), STORED).1 > 0, "{count}: one less");
         }
     }
 }
@@ -495,7 +377,10 @@ fn baked_view(lod: &LayeredBillboards) -> View {
 }
 
 fn one_sample(lod: &dyn Representation, view: &View) -> Vec<Vec4> {
-    let list = emit(lod, view, &[crown_at(DAffine3::from_translation(lod.origin()), 0)]);
+    rendered(&emit(lod, view, &[crown_at(DAffine3::from_translation(lod.origin()), 0)]), view)
+}
+
+fn rendered(list: &DrawList, view: &View) -> Vec<Vec4> {
     let settings = crate::raster::Settings {
         sample_count: 1,
         outputs: crate::raster::Outputs::COLOR,
@@ -503,63 +388,7 @@ fn one_sample(lod: &dyn Representation, view: &View) -> Vec<Vec4> {
         counts_fragments: false,
     };
     let mut renderer = crate::raster::Renderer::default();
-    renderer.render(&list, view, &settings, &Job::default()).expect("valid").color
-}
-
-#[test]
-fn a_still_wind_changes_no_bit() {
-    let plant = tree();
-    for with in [params(4, 64), Params { wood_as: WoodAs::Mesh, ..params(4, 64) }] {
-        let lod = build(&plant, &with);
-        let view = perspective(DVec3::new(0.7, 2.0, 9.0), DVec3::Y * 2.5, DVec3::Y);
-        let still = Crown::alone(DAffine3::IDENTITY);
-        let gust = Gust { wind: wind(0.0, 0.0), time_secs: 1.3, key: (0, 0) };
-        let calm = Crown { wind: Some(gust), ..still.clone() };
-        let storm = Gust { wind: wind(0.1, 0.2), ..gust };
-        let storm = Crown { wind: Some(storm), ..still.clone() };
-        let picture = |crown: &Crown| {
-            let settings = crate::raster::Settings {
-                sample_count: 4,
-                outputs: crate::raster::Outputs::COLOR,
-                background: Vec4::ZERO,
-                counts_fragments: false,
-            };
-            let list = emit(&lod, &view, std::slice::from_ref(crown));
-            let mut renderer = crate::raster::Renderer::default();
-            renderer.render(&list, &view, &settings, &Job::default()).expect("valid").color
-        };
-        assert!(picture(&still) == picture(&calm), "the same picture: {:?}", with.wood_as);
-        assert!(picture(&still) != picture(&storm), "and another one in a storm");
-    }
-}
-
-#[test]
-fn wood_that_stays_a_mesh_moves_with_its_layers() {
-    let lod = build(&tree(), &Params { wood_as: WoodAs::Mesh, ..params(4, 64) });
-    assert_eq!(lod.footprint().triangle_count, 8, "all wood");
-    let view = perspective(DVec3::new(0.0, 2.0, 9.0), DVec3::Y * 2.5, DVec3::Y);
-    let gust = Gust { wind: wind(0.0, 0.3), time_secs: 0.2, key: (0, 0) };
-    let crown = Crown { wind: Some(gust), ..Crown::alone(DAffine3::IDENTITY) };
-    let places = lod.poses(&view, &crown);
-    let list = emit(&lod, &view, std::slice::from_ref(&crown));
-    let opaque: Vec<_> = list.items.iter().filter(|item| item.blend == Blend::Opaque).collect();
-    assert_eq!(opaque.len(), 4, "a piece a layer");
-    for (layer, item) in opaque.into_iter().enumerate() {
-        let instance = list.instances[item.instances.start as usize];
-        let expected = (places[layer].translation - view.eye).as_vec3();
-        assert_eq!(instance.translation, expected, "layer {layer}");
-        assert_eq!(instance.linear, places[layer].matrix3.as_mat3(), "layer {layer}");
-        let buffers = list.vertices_of(item);
-        let ids: Vec<u32> =
-            item.primitives.clone().map(|p| buffers.source_ids[p as usize]).collect();
-        let first = u32::try_from(layer).expect("few") * 2;
-        assert_eq!(ids, [first, first + 1], "the layer's own triangles");
-    }
-    let bare = build(&tree(), &Params { wood: Wood::None, ..params(4, 64) });
-    assert_eq!(bare.footprint().triangle_count, 0, "none");
-    let fewer = Params { wood: Wood::Simplified(4), wood_as: WoodAs::Mesh, ..params(4, 64) };
-    let fewer = build(&tree(), &fewer);
-    assert!((1..=8).contains(&fewer.footprint().triangle_count), "simplified");
+    renderer.render(list, view, &settings, &Job::default()).expect("valid").color
 }
 
 fn cards(list: &DrawList) -> Vec<u32> {
