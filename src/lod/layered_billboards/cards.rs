@@ -147,7 +147,7 @@ impl Baker<'_> {
             }
             next = end;
         }
-        let texture = bake::stored(levels, self.params.format, self.job)?.bounded();
+        let texture = bake::stored(levels, self.params.format, self.job)?;
         let mut buffers = Buffers::default();
         let cards = plans.iter().zip(&cells).enumerate().map(|(number, (plan, &cells))| {
             let rect = self.grid.rect(cells, 0.0);
@@ -174,9 +174,10 @@ impl Baker<'_> {
     /// Layers to be drawn side by side: one a thread, unless their texels would take much memory.
     fn at_once(&self, sizes: &[(u32, u32)]) -> usize {
         let mut left = MAX_TEXELS_AT_ONCE;
-        let whole = u64::from(self.params.resolution) * u64::from(self.params.resolution);
-        let mut fits = |&(width, height): &(u32, u32)| {
-            let texels = if self.is_cut { whole } else { u64::from(width) * u64::from(height) };
+        let whole = self.grid.whole().size;
+        let mut fits = |&size: &(u32, u32)| {
+            let size = if self.is_cut { whole } else { size };
+            let texels = (u64::from(size.0) * u64::from(size.1)) << (2 * self.finer_levels(size));
             let fits = texels <= left;
             left = left.saturating_sub(texels);
             fits
