@@ -7,6 +7,7 @@ import pytest
 
 import treelod as tl
 from made_plants import crown, facing, quads, random_crown, random_leaves
+from treelod.color import linear_from_srgb
 
 WIND = tl.Wind(sway=0.1, lean=0.05, period_secs=4.0, seed=3)
 FRONT = {"right": (1.0, 0.0, 0.0), "up": (0.0, 1.0, 0.0)}
@@ -158,6 +159,27 @@ STORED = 0.0046
 """Half a code of 8-bit sRGB in linear light, at most."""
 
 
+def painted(lod, layers):
+    """Paint the texels of some layers one over the other: the picture of `whole_picture`."""
+    texel = texel_of(lod)
+    corners = np.concatenate([layer.corners for layer in lod.layers if layer.corners is not None])
+    (left, _, _), (right, _, _) = corners.min(axis=0), corners.max(axis=0)
+    bottom, top = corners[:, 1].min(), corners[:, 1].max()
+    shape = round((top - bottom) / texel), round((right - left) / texel)
+    picture = np.zeros((*shape, 4))
+    level = lod.textures[0].levels[0]
+    for layer in layers:
+        x, y, width, height = layer.texels
+        column = round((layer.corners[0, 0] - left) / texel)
+        row = round((top - layer.corners[3, 1]) / texel)
+        part = picture[row : row + height, column : column + width]
+        tile = level[y : y + height, x : x + width]
+        shown = tile[..., 3] == 255
+        part[shown, :3] = linear_from_srgb(tile[shown, :3] / 255)
+        part[shown, 3] = 1.0
+    return picture
+
+
 @pytest.mark.parametrize("layer_count", [1, 6, 25])
 def test_slabs_show_the_plant_from_where_they_were_baked(layer_count):
     leaves, colors = random_leaves(200)
@@ -171,10 +193,13 @@ def test_slabs_show_the_plant_from_where_they_were_baked(layer_count):
     found = tl.render(lod, camera, samples=1).color
     assert 0.2 < reference[..., 3].mean() < 0.9
     assert np.abs(found - reference).max() <= STORED
-    # the control: groups of leaves that reach through one another are not in order
-    grouped = tl.LayeredBillboards.build(plant, layer_count=1, groups="slabs", resolution=128)
-    unlike = np.abs(tl.render(grouped, camera, samples=1).color - reference).max(axis=2)
-    assert (unlike > STORED).mean() > 0.02
+    # a twin: the slabs' own texels, far to near
+    assert np.abs(painted(lod, lod.layers) - reference).max() <= STORED
+    # the control: near to far, or without the nearest slab, it is another picture
+    wrong = [lod.layers[:-1]] + ([lod.layers[::-1]] if layer_count > 1 else [])
+    for layers in wrong:
+        unlike = np.abs(painted(lod, layers) - reference).max(axis=2)
+        assert (unlike > STORED).sum() > 10
 
 
 def test_branches_err_where_they_reach_through_one_another():
@@ -213,6 +238,27 @@ def test_what_the_wind_moves_out_of_the_box_is_drawn(tree):
             moved = layer.corners @ pose[:3, :3].T + pose[:3, 3]
             assert (moved >= low - 1e-9).all()
             assert (moved <= high + 1e-9).all()
+
+
+def test_what_the_wind_moves_out_of_the_picture_and_into_it_is_drawn(tree):
+    lod = tl.LayeredBillboards.build(tree, resolution=64, growth=3.0)
+    gale = tl.Wind(sway=1.0, seed=1)
+    still, windy = tl.Scene([(lod, None)]), tl.Scene([(lod, None)], wind=gale)
+    low, high = still.bounds
+    # the middle of the layer that is moved farthest out to a side of the box at rest
+    out = []
+    for time_secs in np.linspace(0, 4, 9):
+        poses = lod.poses(camera_at().at(time_secs), wind=gale)
+        for layer, pose in zip(lod.layers, poses, strict=True):
+            middle = pose[:3, :3] @ layer.corners.mean(axis=0) + pose[:3, 3]
+            out.append((max(low[0] - middle[0], middle[0] - high[0]), time_secs, middle))
+    far, time_secs, (x, y, z) = max(out, key=lambda found: found[0])
+    assert far > 0.5, "beyond the box"
+    # a camera that sees nothing of the box
+    camera = tl.Camera.orthographic((x, y, z + 20), (x, y, z), height=far, size=(32, 32))
+    camera = camera.at(time_secs)
+    assert not tl.render(still, camera).color.any()
+    assert tl.render(windy, camera).color[..., 3].max() > 0.5
 
 
 def test_tilted_layers_hang_on_their_parents_from_aside(tree):
@@ -380,6 +426,13 @@ def test_wood_in_layers_as_a_mesh_or_not_at_all(tree):
     assert alpha["baked"] == pytest.approx(alpha["mesh"], abs=0.003)
     assert alpha["none"] < 0.5 * alpha["mesh"]
     few = tl.LayeredBillboards.build(tree, resolution=32, wood_triangle_count=16)
+    assert sum(layer.wood_triangle_count for layer in few.layers) == few.footprint.triangles
+    slabs = tl.LayeredBillboards.build(
+        tree, groups="slabs", wood_as="mesh", layer_count=5, resolution=32
+    )
+    assert [layer.wood_triangle_count for layer in slabs.layers] == [0, 0, count, 0, 0]
+    bare = tl.LayeredBillboards.build(tree, wood=False, resolution=32)
+    assert [layer.wood_triangle_count for layer in bare.layers] == [0, 0, 0, 0]
     assert few.params["wood_as"] == "mesh"
     assert 0 < few.footprint.triangles <= count
 
@@ -404,6 +457,8 @@ def test_pictures_do_not_depend_on_the_thread_count(tree):
         ({"groups": "limbs"}, ValueError, "groups"),
         ({"turn": "yes"}, ValueError, "turn"),
         ({"turn": "viewer", "max_turn_deg": 181}, ValueError, "max_turn_deg"),
+        ({"turn": "fixed", "max_turn_deg": -1}, ValueError, "max_turn_deg"),
+        ({"turn": "fixed", "max_turn_deg": float("nan")}, ValueError, "max_turn_deg"),
         ({"turn": "viewer", "wood_as": "baked"}, ValueError, "wood_as"),
         ({"wood_as": "baked", "wood_triangle_count": 5}, ValueError, "wood_triangle_count"),
         ({"motion": "swing"}, ValueError, "motion"),

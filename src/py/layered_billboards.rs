@@ -11,6 +11,7 @@ use super::plant::Plant;
 use super::run::run;
 use super::view::CameraFacts;
 use super::wind::WindFacts;
+use crate::error::check_in;
 use crate::lod::Crown;
 use crate::lod::Representation as _;
 use crate::lod::layered_billboards::{
@@ -43,6 +44,8 @@ pub(super) struct LayerFacts {
 
 impl LayerFacts {
     fn params(self) -> PyResult<Params> {
+        // also where nothing turns, so that it is not found out later
+        check_in("max_turn_deg", self.max_turn_deg, 0.0..=180.0)?;
         let groupings = [
             ("auto", Grouping::Auto),
             ("branches", Grouping::Branches),
@@ -78,7 +81,7 @@ impl LayerFacts {
 /// Flat layers of a plant, hung one from the other. Immutable.
 #[pyclass(frozen, module = "treelod._core")]
 pub(super) struct LayeredBillboards {
-    inner: core::LayeredBillboards,
+    inner: Arc<core::LayeredBillboards>,
 }
 
 /// Name, parent, anchor, corners (4, 3), its x, y, width and height in the texture, leaves, triangles
@@ -90,7 +93,8 @@ type LayerRow =
 impl LayeredBillboards {
     /// What is drawn.
     fn representation(&self) -> Representation {
-        Representation { inner: Arc::new(self.inner.clone()) }
+        let inner = Arc::clone(&self.inner);
+        Representation { inner }
     }
 
     /// Facts of each layer, a parent before its children; places are the world's.
@@ -132,7 +136,7 @@ impl LayeredBillboards {
         let wind = wind.map(|facts| facts.wind()).transpose()?;
         let gust = wind.map(|wind| Gust { wind, time_secs: view.time_secs, key: copy });
         let crown = Crown { key: copy, wind: gust, ..Crown::alone(origin) };
-        let poses = self.inner.poses(&view, &crown);
+        let poses = py.detach(|| self.inner.poses(&view, &crown));
         let mut rows = Vec::with_capacity(poses.len() * 16);
         for pose in &poses {
             let world = origin * *pose * origin.inverse();
@@ -160,5 +164,5 @@ pub(super) fn layered_billboards(
     let inner = run(py, threads, progress, move |job| {
         core::LayeredBillboards::build(&plant, &params, job)
     })?;
-    Ok(LayeredBillboards { inner })
+    Ok(LayeredBillboards { inner: Arc::new(inner) })
 }
