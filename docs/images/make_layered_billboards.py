@@ -193,7 +193,7 @@ def plot() -> None:
         "slabs": {"groups": "slabs"},
         "turning, on a mesh": {"turn": "viewer"},
     }
-    figure, axes = plt.subplots(1, 2, figsize=(9, 3.4), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), sharey=True, layout="constrained")
     for axis, name in zip(axes, ("chestnut", "ez_oak_large"), strict=True):
         plant = plants()[name]()
         full = tl.FullMesh.build(plant)
@@ -215,7 +215,8 @@ def plot() -> None:
         axis.set(title=name, xlabel="moved aside by, degrees", ylim=(0, None))
         axis.grid(visible=True, alpha=0.3)
     axes[0].set_ylabel("FLIP")
-    axes[0].legend(fontsize=8)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8)
     figure.savefig(HERE / "layered_billboards_sideways.png", dpi=110)
 
 
