@@ -35,8 +35,8 @@ use crate::lod::octahedral_impostor::octahedron::Grid;
 use crate::lod::octahedral_impostor::viewer::Viewer;
 use crate::lod::solid::Solid;
 use crate::lod::wood::Wood;
-use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation};
-use crate::plant::{Lighting, Plant};
+use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation, foot_of};
+use crate::plant::{Lighting, Mesh, Plant};
 use crate::raster::samples;
 use crate::texture::atlas::Atlas;
 use crate::texture::depth_map::DepthLevel;
@@ -123,6 +123,7 @@ pub struct OctahedralImpostor {
     tolerance: f32,
     fill: f64,
     ball: Ball,
+    foot: DVec3,
     origin: DVec3,
 }
 
@@ -196,6 +197,7 @@ impl OctahedralImpostor {
             tolerance: params.tolerance.map_or(f32::INFINITY, narrowed),
             fill: atlas.fill(),
             ball,
+            foot: foot_of([&wood, leaves].into_iter().filter_map(Mesh::bounds)),
             origin: plant.origin,
         })
     }
@@ -414,6 +416,10 @@ impl Representation for OctahedralImpostor {
     fn bounds(&self) -> (DVec3, DVec3) {
         let Ball { center, half, .. } = self.ball;
         (center - half, center + half)
+    }
+
+    fn foot(&self) -> DVec3 {
+        self.foot
     }
 
     fn origin(&self) -> DVec3 {

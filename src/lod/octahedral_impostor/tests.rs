@@ -565,6 +565,23 @@ fn bad_parameters_are_refused_by_name() {
 }
 
 #[test]
+fn the_foot_is_that_of_the_mesh() {
+    // far from square and off the origin, with texels of half a metre
+    let leaves = [facing(2.0, 6.0, 1.0, 0.5), facing(4.0, 9.0, -2.0, 1.5)];
+    let trunk = [facing(3.0, 1.0, 0.0, 1.0)];
+    for wood in [&[][..], &trunk] {
+        let crown = plant_at(DVec3::new(5.0, -7.0, 3.0), wood, &leaves);
+        let lod = build(&crown, &params(3, 16));
+        assert_eq!(lod.foot(), full(&crown).foot(), "of wood and leaves");
+        assert!(lod.bounds().0.y < lod.foot().y - 0.1, "its box is a texel larger");
+    }
+    // where wood is left out, what is left is what stays in the wind
+    let bare = Params { wood: Wood::None, ..params(3, 16) };
+    let lod = build(&plant_at(DVec3::ZERO, &trunk, &leaves), &bare);
+    assert_eq!(lod.foot(), full(&plant(&leaves)).foot(), "of leaves alone");
+}
+
+#[test]
 fn straight_below_the_upper_half_the_pictures_up_decides() {
     let lod = build(&plant(&random_crown(10)), &params(3, 8));
     for (up, frame) in [(DVec3::X, 8), (DVec3::Z, 2), (DVec3::NEG_X, 0)] {
