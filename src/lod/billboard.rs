@@ -23,14 +23,14 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use crate::draw_list::{Blend, Buffers, Instance, Item, Primitive, Source, Surface};
-use crate::error::{LodError, check_in};
+use crate::error::{LodError, check_in, check_limit};
 use crate::job::Job;
 use crate::lod::solid::Solid;
 use crate::lod::wood::Wood;
 use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation, foot_of};
 use crate::plant::Plant;
 use crate::raster::samples;
-use crate::texture::texture::check_size;
+use crate::texture::texture::{MAX_TEXEL_COUNT, check_size};
 use crate::texture::{Filter, Format, Sampler, Texture, Wrap};
 use crate::view::View;
 use crate::view_state::ViewState;
@@ -39,6 +39,9 @@ use pictures::{CUTOFF, Picture, Pictures, Rings, Sitter};
 
 /// More pictures on a ring, or rings, than this are taken for a mistake.
 const MAX_COUNT: usize = 4096;
+
+/// Pictures of all plants, at most: pictures of 7 x 7 texels are already too many for a texture.
+const MAX_PICTURE_COUNT: u64 = 1 << 20;
 
 /// Bytes of a picture's place: its sides and its corners in the texture.
 const PICTURE_BYTES: u64 = 8 * size_of::<f32>() as u64;
@@ -130,6 +133,22 @@ impl Params {
         Ok(())
     }
 
+    /// Refuses more pictures than can be, before any is planned.
+    fn check_count(&self, plant_count: usize) -> Result<(), LodError> {
+        let factors = [
+            ("plants", plant_count),
+            ("elevations_deg", self.elevations.len()),
+            ("view_count", self.view_count),
+        ];
+        let (name, _) = factors.into_iter().max_by_key(|&(_, count)| count).expect("three");
+        let count =
+            factors.into_iter().fold(1_u64, |all, (_, count)| all.saturating_mul(count as u64));
+        check_limit(name, count, MAX_PICTURE_COUNT, "pictures")?;
+        // with known views, pictures may be smaller and fewer
+        let texels = if self.views.is_none() { pictures::texels(self.resolution) } else { 0 };
+        check_limit("resolution", count * texels, MAX_TEXEL_COUNT, "texels")
+    }
+
     /// Of pictures on both sides of a viewer, those that are shown.
     fn shown(&self, shares: Vec<(usize, f64)>) -> Vec<(usize, f64)> {
         match (self.picture_blend, shares.last()) {
@@ -174,8 +193,9 @@ impl Billboard {
     /// Takes pictures of a plant.
     ///
     /// # Errors
-    /// `foliage` if nothing would be seen; any parameter that is out of range; `resolution` if the
-    /// pictures do not fit into one texture; [`LodError::Cancelled`].
+    /// `foliage` if nothing would be seen; any parameter that is out of range; `view_count` or
+    /// `elevations_deg`, whichever is more, if there are too many pictures; `resolution` if they do not
+    /// fit into one texture; [`LodError::Cancelled`].
     pub fn build(plant: &Plant, params: &Params, job: &Job) -> Result<Self, LodError> {
         let mut built = Self::forest(&[plant], params, job)?;
         Ok(built.pop().expect("one for each plant"))
@@ -184,12 +204,13 @@ impl Billboard {
     /// Takes pictures of several plants, in one texture.
     ///
     /// # Errors
-    /// As [`Billboard::build`]; `plants` without any.
+    /// As [`Billboard::build`]; `plants` without any, or with so many that there are too many pictures.
     pub fn forest(plants: &[&Plant], params: &Params, job: &Job) -> Result<Vec<Self>, LodError> {
         params.check()?;
         if plants.is_empty() {
             return Err(LodError::Empty { name: "plants", why: "a forest needs at least one" });
         }
+        params.check_count(plants.len())?;
         let rings = Rings::new(params.view_count, &params.elevations)?;
         let sitters: Vec<Sitter<'_>> = plants
             .iter()

@@ -202,7 +202,8 @@ class Billboard(Technique):
         ValueError
             If an argument is out of range, or if the plant has nothing to take a picture of.
         LimitError
-            If the pictures do not fit into a texture of 2**26 texels.
+            If there are more than 2**20 pictures, or if they do not fit into a texture of 2**26
+            texels.
 
         See Also
         --------

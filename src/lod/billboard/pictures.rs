@@ -13,7 +13,7 @@ use glam::{DAffine3, DVec3, Vec2};
 
 use crate::bake::{self, BakeRect, bake};
 use crate::draw_list::Buffers;
-use crate::error::LodError;
+use crate::error::{LodError, check_limit};
 use crate::job::{ELEMENTS_PER_CHECK, Job};
 use crate::lod::billboard::alignment::{Frame, Seen};
 use crate::lod::billboard::{Drawing, Params, WoodAs};
@@ -25,6 +25,7 @@ use crate::plant::{Mesh, Plant};
 use crate::raster::Renderer;
 use crate::texture::atlas::Atlas;
 use crate::texture::mips::{self, Keep};
+use crate::texture::texture::MAX_TEXEL_COUNT;
 use crate::texture::{Filter, Texture};
 use crate::view::View;
 use crate::view_state::ViewState;
@@ -227,6 +228,11 @@ struct Planned {
 /// The pictures of one plant, by number; `None` where no view needs one.
 pub(super) type Pictures = Vec<Option<Picture>>;
 
+/// Texels that a picture takes of a texture, at least: its own, and what keeps it apart.
+pub(super) fn texels((width, height): (u32, u32)) -> u64 {
+    (u64::from(width) + 1) * (u64::from(height) + 1)
+}
+
 /// Takes all pictures of all plants, in one texture.
 pub(super) fn take(
     sitters: &[Sitter<'_>],
@@ -236,23 +242,26 @@ pub(super) fn take(
 ) -> Result<(Vec<Pictures>, Arc<Texture>), LodError> {
     let frames: Vec<Frame> = rings.frames().collect();
     let mut planned: Vec<Planned> = Vec::new();
+    let mut texel_count = 0;
     for (number_of_sitter, sitter) in sitters.iter().enumerate() {
         let needed = sitter.needed(rings, frames.len(), params);
         for (number, (&frame, needed)) in frames.iter().zip(needed).enumerate() {
             let Some(per_metre) = needed else { continue };
             let (rect, sides) = sitter.rect(&frame, job)?;
-            let texels = |metres: f64, most: u32| {
+            let side = |metres: f64, most: u32| {
                 let asked = (per_metre * metres).ceil().clamp(1.0, f64::from(most));
                 #[expect(
                     clippy::cast_possible_truncation,
                     clippy::cast_sign_loss,
                     reason = "clamped"
                 )]
-                let texels = asked as u32;
-                texels
+                let side = asked as u32;
+                side
             };
             let (wide, high) = params.resolution;
-            let size = (texels(rect.width, wide), texels(rect.height, high));
+            let size = (side(rect.width, wide), side(rect.height, high));
+            texel_count += texels(size);
+            check_limit("resolution", texel_count, MAX_TEXEL_COUNT, "texels")?;
             planned.push(Planned { sitter: number_of_sitter, number, frame, rect, sides, size });
         }
     }

@@ -458,6 +458,46 @@ fn the_same_bytes_on_any_thread_count() {
 }
 
 #[test]
+fn too_many_pictures_are_refused_before_any_is_planned() {
+    let plant = plant(&wall());
+    let rings = |count: i32| {
+        let elevation = |ring: i32| (f64::from(ring) / f64::from(count) * 80.0).to_radians();
+        (0..count).map(elevation).collect::<Vec<f64>>()
+    };
+    let with = |view_count: usize, ring_count: i32, side: u32| Params {
+        axis: Axis::Free,
+        view_count,
+        elevations: rings(ring_count),
+        resolution: (side, side),
+        ..params()
+    };
+    // nobody asks whether to stop before a picture is planned, so this is what comes first if one is
+    let stopped = Job::default();
+    stopped.cancel();
+    let refused = |params: &Params, plants: &[&Plant]| {
+        Billboard::forest(plants, params, &stopped).expect_err("refused").to_string()
+    };
+    let view = perspective(DVec3::Z * 9.0, DVec3::ZERO, DVec3::Y);
+    let seen = Params { views: Some(vec![view]), ..with(4096, 4096, 1) };
+    for (params, plant_count, message) in [
+        (with(4096, 4096, 1), 1, "view_count needs 16777216 pictures, the limit is 1048576"),
+        (seen, 1, "view_count needs 16777216 pictures, the limit is 1048576"),
+        (with(1024, 1025, 1), 1, "elevations_deg needs 1049600 pictures, the limit is 1048576"),
+        (with(512, 512, 1), 5, "view_count needs 1310720 pictures, the limit is 1048576"),
+        (with(1, 1, 1), (1 << 20) + 1, "plants needs 1048577 pictures, the limit is 1048576"),
+        // each with a texel on two sides of it
+        (with(256, 256, 32), 1, "resolution needs 71368704 texels, the limit is 67108864"),
+        (with(128, 256, 32), 2, "resolution needs 71368704 texels, the limit is 67108864"),
+    ] {
+        assert_eq!(refused(&params, &vec![&plant; plant_count]), message, "{plant_count} plants");
+    }
+    // where views leave few pictures or texels, as many as there may be
+    let view = parallel(DVec3::Z, DVec3::Y, 9.0, 16);
+    let seen = Params { views: Some(vec![view]), ..with(256, 256, 32) };
+    assert_eq!(build(&plant, &seen).pictures().len(), 1, "all but one are left out");
+}
+
+#[test]
 fn bad_parameters_are_refused() {
     let plant = plant(&wall());
     let degrees = |values: &[f64]| values.iter().map(|d| d.to_radians()).collect::<Vec<f64>>();
