@@ -256,7 +256,7 @@ def test_tinted_plant_keeps_its_shape_and_shows_the_split():
 @pytest.mark.parametrize(
     ("techniques", "settings", "message"),
     [
-        ({"sketches": {}}, {}, "unknown technique 'sketches'; there are foliage_h"),
+        ({"sketches": {}}, {}, "unknown technique 'sketches'; there are billboard"),
         ({"full_mesh": {"wood": False}}, {}, "label 'full_mesh' is the reference's"),
         ({}, {"cameras": []}, "cameras is empty"),
         ({}, {"repeats": 0}, "repeats must be at least 1"),

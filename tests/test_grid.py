@@ -219,7 +219,7 @@ def test_labels_are_short_where_they_stay_different():
 @pytest.mark.parametrize(
     ("grid", "error", "message"),
     [
-        ({"sketches": {}}, ValueError, "unknown technique 'sketches'; there are foliage_h"),
+        ({"sketches": {}}, ValueError, "unknown technique 'sketches'; there are billboard"),
         (["sketches"], ValueError, "unknown technique 'sketches'"),
         ("slicings", TypeError, "grid must map"),
         (7, TypeError, "grid must map"),

@@ -12,6 +12,7 @@ from treelod import _core
 from treelod.render import camera_facts, thread_count
 from treelod.techniques.technique import (
     Technique,
+    TextureFormat,
     core_of,
     flag,
     number,
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
     from treelod.cameras import Camera
     from treelod.plant import Lighting, Plant
-    from treelod.techniques.technique import TextureFormat
 
 __all__ = ["ImpostorFrames", "OctahedralImpostor"]
 
