@@ -322,7 +322,7 @@ fn soup(seed: u64, view: &View) -> DrawList {
     let filters = [Filter::Nearest, Filter::Bilinear, Filter::Trilinear];
     for round in 0..30 {
         let primitive = kinds[round % 4];
-        let size = if round < 4 || round >= 24 { 4.0 } else { 0.5 };
+        let size = if (4..24).contains(&round) { 0.5 } else { 4.0 };
         let corner_count = primitive.index_count();
         let mut points = Vec::new();
         for _ in 0..12 {
