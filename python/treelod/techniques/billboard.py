@@ -75,7 +75,7 @@ class BillboardQuad:
 
 class Billboard(Technique):
     """
-    A whole plant as one quad, which turns with the camera.
+    A whole plant as one quad, which turns with the camera; see `build`.
 
     Attributes
     ----------
