@@ -38,7 +38,7 @@ lint: lint-rust lint-python lint-stubs ## all checks that run no test
 lint-rust: | .venv
 	cargo fmt --check
 	cargo clippy --locked --all-targets -- -D warnings
-	uv run --no-sync cargo clippy --locked --all-targets --features python -- -D warnings
+	uv run --no-sync cargo clippy --locked --all-targets --features python,gpu -- -D warnings
 	RUSTDOCFLAGS='-D warnings' cargo doc --locked --no-deps --quiet
 
 lint-python: | .venv

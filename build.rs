@@ -1,6 +1,6 @@
 //! Names what the core is compiled from, so that stored results can say which code made them.
 //!
-//! The hash covers every Rust file below `src` but tests, with its path, and `Cargo.lock`. It is FNV-1a
+//! The hash covers every Rust file and shader below `src` but tests, with its path, and `Cargo.lock`. It is FNV-1a
 //! with 128 bits: nobody forges sources here, and it needs no library. Line ends of a checkout with
 //! carriage returns do not count.
 //!
@@ -41,14 +41,14 @@ fn main() {
     println!("cargo:rerun-if-changed=Cargo.lock");
 }
 
-/// All Rust files below a folder but those that hold nothing but tests.
+/// All Rust files and shaders below a folder but those that hold nothing but tests.
 fn collect(folder: &Path, files: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).expect("the sources can be read") {
         let path = entry.expect("the sources can be read").path();
         let is_test = path.file_stem().is_some_and(|stem| stem == "tests");
         if path.is_dir() {
             collect(&path, files);
-        } else if path.extension().is_some_and(|kind| kind == "rs") && !is_test {
+        } else if path.extension().is_some_and(|kind| kind == "rs" || kind == "wgsl") && !is_test {
             files.push(path);
         }
     }

@@ -77,6 +77,18 @@ pub enum LodError {
          start workers with the 'spawn' or 'forkserver' method"
     )]
     Forked,
+    /// No graphics adapter fits.
+    #[error("{why}")]
+    NoAdapter {
+        /// What was looked for, what there is, and what to install.
+        why: String,
+    },
+    /// A graphics device was lost, ran out of memory or refused a command.
+    #[error("the graphics device {why}")]
+    Device {
+        /// What it did.
+        why: String,
+    },
     /// The caller asked for a stop.
     #[error("cancelled")]
     Cancelled,

@@ -14,6 +14,8 @@
 pub mod bake;
 pub mod draw_list;
 pub mod error;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod job;
 pub mod lod;
 pub mod plant;

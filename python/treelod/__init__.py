@@ -9,7 +9,7 @@ import importlib
 import warnings
 from typing import TYPE_CHECKING, Any
 
-from treelod import _core, criteria
+from treelod import _core, criteria, gpu
 from treelod._core import __version__
 from treelod.cameras import Camera, orbit
 from treelod.clusters import LeafClustering, PlaneMisses, cluster_leaves, plane_misses
@@ -92,6 +92,7 @@ __all__ = [
     "collapse_leaves",
     "criteria",
     "crossed",
+    "gpu",
     "grow_plant",
     "load_plant",
     "load_results",

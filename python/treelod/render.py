@@ -2,7 +2,8 @@
 Draw a technique or a scene from a camera, and time it.
 
 A frame's time is what the core needs to emit a draw list and to draw it into warm memory: clear,
-transform, bin, raster, resolve. No Python, no upload, no metrics and no file is in it.
+transform, bin, raster, resolve. No Python, no metrics and no file is in it, and no upload of what frames
+share to a graphics card.
 """
 
 from __future__ import annotations
@@ -25,13 +26,16 @@ if TYPE_CHECKING:
     from treelod.cameras import Camera
     from treelod.techniques.technique import Technique
 
-__all__ = ["EMPTY_ID", "OUTPUTS", "Frame", "Stats", "ViewState", "render", "time_frames"]
+__all__ = ["BACKENDS", "EMPTY_ID", "OUTPUTS", "Frame", "Stats", "ViewState", "render", "time_frames"]
 
 EMPTY_ID = 0xFFFFFFFF
 """Value of `Frame.ids` where nothing is drawn."""
 
 OUTPUTS = ("color", "depth", "ids", "normal", "albedo", "color8")
 """Planes that `render` can make."""
+
+BACKENDS = ("cpu", "gpu")
+"""What can draw."""
 
 MAX_PIXEL_COUNT = 1 << 27
 """Most pixels of a picture: 2 GiB of colour."""
@@ -57,16 +61,22 @@ class Stats:
     textures : int
         Textures that they read.
     vertices : int
-        Vertices transformed, over all sets of samples.
-    fragments : int
+        Vertices transformed, over all sets of samples; on a graphics card, corners submitted.
+    fragments : int or None
         (primitive, pixel) pairs of which a sample is covered, hidden ones included, over all sets
-        of up to 16 samples.
+        of up to 16 samples; None on a graphics card, which does not count them.
     samples : int
         Samples a pixel.
     threads : int
-        Threads of the pool that drew it.
-    backend : str
+        Threads of the pool that drew it; 0 where a graphics card did.
+    backend : {'cpu', 'gpu'}
         What drew it.
+    gpu_millis : float or None
+        What the graphics card says it took from its first command to its last, in milliseconds;
+        None on the processor, and for cards that do not tell. `draw_millis` is wall time, and holds
+        the upload of what is this frame's own and the recording of commands besides.
+    adapter, driver : str or None
+        The graphics card's name and its driver; None on the processor.
     """
 
     frame_millis: float
@@ -79,10 +89,13 @@ class Stats:
     items: int
     textures: int
     vertices: int
-    fragments: int
+    fragments: int | None
     samples: int
     threads: int
     backend: str
+    gpu_millis: float | None
+    adapter: str | None
+    driver: str | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -168,6 +181,7 @@ def render(
     outputs: Sequence[str] = ("color", "depth"),
     threads: int | None = None,
     state: ViewState | None = None,
+    adapter: str | None = None,
 ) -> Frame:
     """
     Draw a technique's plant, or a scene.
@@ -178,8 +192,8 @@ def render(
         A technique stands where its plant's file put it.
     camera : Camera
         From where, and how large.
-    backend : {'cpu'}, default 'cpu'
-        What draws.
+    backend : {'cpu', 'gpu'}, default 'cpu'
+        What draws: the processor, or a graphics card. Both draw the same picture.
     samples : int, default 4
         Samples a pixel: 1, 4, 8, 16, or any number from 17 to 65536. The picture is the mean of
         that many one-sample pictures at fixed positions.
@@ -192,6 +206,9 @@ def render(
         else all cores.
     state : ViewState, optional
         What is remembered from the frame before. Default: nothing is.
+    adapter : str, optional
+        Which graphics card, with ``backend="gpu"``: a part of its name, in any case, or its kind
+        (`gpu.adapters` lists both). Default: ``TREELOD_ADAPTER``, else the first one.
 
     Returns
     -------
@@ -203,7 +220,12 @@ def render(
         If an argument is out of range or names nothing, or if the technique was built for other
         cameras.
     LimitError
-        If the picture would be too large.
+        If the picture would be too large, or something for the graphics card to hold.
+    NoAdapterError
+        If there is no graphics card of that name, or none at all.
+    DeviceError
+        If the graphics card was lost, ran out of memory or refused a command. The next call
+        starts afresh.
 
     Examples
     --------
@@ -214,9 +236,7 @@ def render(
     >>> frame.color.shape, bool(frame.color.max() <= 1.0)
     ((64, 64, 4), True)
     """
-    if backend != "cpu":
-        msg = f"backend must be 'cpu', got {backend!r}"
-        raise ValueError(msg)
+    check_backend(backend, adapter)
     samples = sample_count(samples)
     if isinstance(outputs, str) or not outputs:
         msg = f"outputs must be a sequence of names from {OUTPUTS}, got {outputs!r}"
@@ -233,6 +253,8 @@ def render(
         background=_background(background),
         outputs=list(outputs),
         threads=thread_count(threads),
+        backend=backend,
+        adapter=adapter,
     )
     return Frame(
         **{name: planes.get(name) for name in OUTPUTS},
@@ -250,6 +272,8 @@ def time_frames(
     warmup: int = 2,
     repeats: int = 9,
     threads: int | None = None,
+    backend: str = "cpu",
+    adapter: str | None = None,
 ) -> dict[str, NDArray[np.float64]]:
     """
     Time frames of several subjects from one camera, taking turns.
@@ -269,19 +293,24 @@ def time_frames(
         Rounds that are drawn first and not counted, at least 0.
     repeats : int, default 9
         Rounds that are counted, at least 1.
-    threads : int, optional
+    threads, backend, adapter : optional
         As in `render`.
 
     Returns
     -------
     dict of str to ndarray of shape (repeats,), dtype float64
-        Milliseconds of each frame: emit and draw.
+        Milliseconds of each frame: emit and draw, until the picture is there. On a graphics card
+        that is the wall time from the first upload of what is the frame's own until the card is
+        idle; what frames share was uploaded before, and nothing is read back.
 
     Raises
     ------
     ValueError
         If an argument is out of range.
+    NoAdapterError, DeviceError
+        As in `render`.
     """
+    check_backend(backend, adapter)
     if operator.index(warmup) < 0 or operator.index(repeats) < 1:
         msg = f"warmup must be at least 0 and repeats at least 1, got {warmup} and {repeats}"
         raise ValueError(msg)
@@ -293,7 +322,9 @@ def time_frames(
     }
     for turn in range(-warmup, repeats):
         for renderer, scene, millis in runs.values():
-            stats = renderer.time(scene, facts, samples=samples, threads=threads)
+            stats = renderer.time(
+                scene, facts, samples=samples, threads=threads, backend=backend, adapter=adapter
+            )
             if turn >= 0:
                 millis[turn] = stats["emit_millis"] + stats["draw_millis"]
     return {label: millis for label, (_, _, millis) in runs.items()}
@@ -341,6 +372,19 @@ def _scene(subject: Technique | Scene) -> Scene:
     return subject if isinstance(subject, Scene) else Scene([(subject, None)])
 
 
+def check_backend(backend: str, adapter: str | None) -> None:
+    """Refuse what names no backend, and graphics cards for the processor."""
+    if backend not in BACKENDS:
+        msg = f"backend must be 'cpu' or 'gpu', got {backend!r}"
+        raise ValueError(msg)
+    if adapter is not None and not isinstance(adapter, str):
+        msg = f"adapter must be a str or None, got {type(adapter).__name__}"
+        raise TypeError(msg)
+    if adapter is not None and backend != "gpu":
+        msg = f"adapter names a graphics card, which backend={backend!r} does not draw with"
+        raise ValueError(msg)
+
+
 def sample_count(samples: int) -> int:
     """Refuse sample counts for which there are no positions."""
     count = operator.index(samples)
@@ -371,4 +415,5 @@ def _background(background: Sequence[float] | None) -> tuple[float, float, float
 
 def _stats(facts: Mapping[str, Any], samples: int) -> Stats:
     total = facts["emit_millis"] + facts["draw_millis"]
-    return Stats(**facts, frame_millis=total, samples=samples, backend="cpu")
+    counted = {"fragments": None, **facts}
+    return Stats(**counted, frame_millis=total, samples=samples)

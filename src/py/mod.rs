@@ -10,6 +10,7 @@ mod clusters;
 mod collapse;
 mod criteria;
 mod foliage_hierarchy;
+mod gpu;
 mod grow;
 mod layered_billboards;
 mod leaf_clusters;
@@ -39,6 +40,8 @@ use crate::error::LodError;
 static LIMIT_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 static FORKED_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 static STORE_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
+static NO_ADAPTER_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
+static DEVICE_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 static INTERNAL_ERROR: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 
 /// An instance of a class of `treelod.errors`, which is imported once.
@@ -71,6 +74,10 @@ impl From<LodError> for PyErr {
             LodError::Callback { id } => {
                 criteria::take_raised(id).unwrap_or_else(|| internal_error(message))
             }
+            LodError::NoAdapter { .. } => {
+                package_error(&NO_ADAPTER_ERROR, "NoAdapterError", message)
+            }
+            LodError::Device { .. } => package_error(&DEVICE_ERROR, "DeviceError", message),
             LodError::Forked => package_error(&FORKED_ERROR, "ForkedError", message),
             // `run` prefers the exception of whoever cancelled; this one is for the case of none
             LodError::Cancelled => PyKeyboardInterrupt::new_err(message),
@@ -102,6 +109,8 @@ mod _core {
     use super::criteria::{_cut_for_test, cut_times};
     #[pymodule_export]
     use super::foliage_hierarchy::{FoliageHierarchy, foliage_hierarchy, stored_hierarchy};
+    #[pymodule_export]
+    use super::gpu::{_fail_for_test, adapters, close_devices};
     #[pymodule_export]
     use super::grow::{grow, preset_names};
     #[pymodule_export]

@@ -9,6 +9,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use super::gpu::{Backend, Card};
 use super::lod::Representation;
 use super::run::run;
 use super::variety::VarietyFacts;
@@ -125,7 +126,9 @@ impl Renderer {
     }
 
     /// Planes by name, and what drawing took.
-    #[pyo3(signature = (scene, camera, *, samples, background, outputs, threads))]
+    #[pyo3(signature = (
+        scene, camera, *, samples, background, outputs, threads, backend = "cpu", adapter = None
+    ))]
     #[expect(clippy::too_many_arguments, reason = "called from one place, by its Python face")]
     fn render<'py>(
         &self,
@@ -136,6 +139,8 @@ impl Renderer {
         background: [f32; 4],
         outputs: Vec<String>,
         threads: Option<usize>,
+        backend: &str,
+        adapter: Option<String>,
     ) -> PyResult<(Bound<'py, PyDict>, Bound<'py, PyDict>)> {
         let view = camera.view()?;
         let settings = Settings {
@@ -144,21 +149,23 @@ impl Renderer {
             background: Vec4::from(background),
             counts_fragments: true,
         };
+        let backend = Backend::named(backend, adapter)?;
         let scene = Arc::clone(&scene.inner);
-        let frame = run(py, threads, None, |job| {
+        let (frame, card) = run(py, threads, None, |job| {
             let mut guard = self.taken()?;
             let (renderer, state) = &mut *guard;
             let (list, emit_millis) = emit(&scene, &view, settings.outputs, state)?;
-            let mut frame = renderer.render(&list, &view, &settings, job)?;
+            let (mut frame, card) = backend.render(renderer, &list, &view, &settings, job)?;
             frame.stats.emit_millis = emit_millis;
-            Ok(frame)
+            Ok((frame, card))
         })?;
-        let stats = stats_facts(py, &frame.stats)?;
+        let stats = stats_facts(py, &frame.stats, card)?;
         Ok((planes(py, frame)?, stats))
     }
 
     /// Draws into warm memory without handing anything out: what a time contains.
-    #[pyo3(signature = (scene, camera, *, samples, threads))]
+    #[pyo3(signature = (scene, camera, *, samples, threads, backend = "cpu", adapter = None))]
+    #[expect(clippy::too_many_arguments, reason = "called by its Python face alone")]
     fn time<'py>(
         &self,
         py: Python<'py>,
@@ -166,6 +173,8 @@ impl Renderer {
         camera: CameraFacts,
         samples: u32,
         threads: Option<usize>,
+        backend: &str,
+        adapter: Option<String>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let view = camera.view()?;
         let settings = Settings {
@@ -174,15 +183,16 @@ impl Renderer {
             background: Vec4::ZERO,
             counts_fragments: false,
         };
+        let backend = Backend::named(backend, adapter)?;
         let scene = Arc::clone(&scene.inner);
-        let stats = run(py, threads, None, |job: &Job| {
+        let (stats, card) = run(py, threads, None, |job: &Job| {
             let mut guard = self.taken()?;
             let (renderer, state) = &mut *guard;
             let (list, emit_millis) = emit(&scene, &view, settings.outputs, state)?;
-            let stats = renderer.draw(&list, &view, &settings, job)?;
-            Ok(Stats { emit_millis, ..stats })
+            let (stats, card) = backend.draw(renderer, &list, &view, &settings, job)?;
+            Ok((Stats { emit_millis, ..stats }, card))
         })?;
-        stats_facts(py, &stats)
+        stats_facts(py, &stats, card)
     }
 
     /// What a view draws, item by item in paint order: kind, count, and a key of what is drawn that holds
@@ -313,7 +323,11 @@ fn planes(py: Python<'_>, frame: Frame) -> PyResult<Bound<'_, PyDict>> {
     Ok(planes)
 }
 
-fn stats_facts<'py>(py: Python<'py>, stats: &Stats) -> PyResult<Bound<'py, PyDict>> {
+fn stats_facts<'py>(
+    py: Python<'py>,
+    stats: &Stats,
+    card: Option<Card>,
+) -> PyResult<Bound<'py, PyDict>> {
     let facts = PyDict::new(py);
     facts.set_item("emit_millis", stats.emit_millis)?;
     facts.set_item("draw_millis", stats.draw_millis)?;
@@ -328,5 +342,10 @@ fn stats_facts<'py>(py: Python<'py>, stats: &Stats) -> PyResult<Bound<'py, PyDic
         facts.set_item("fragments", count)?;
     }
     facts.set_item("threads", stats.thread_count)?;
+    facts.set_item("gpu_millis", stats.gpu_millis)?;
+    facts.set_item("backend", if card.is_some() { "gpu" } else { "cpu" })?;
+    let (adapter, driver) = card.map(|card| (card.name, card.driver)).unzip();
+    facts.set_item("adapter", adapter)?;
+    facts.set_item("driver", driver)?;
     Ok(facts)
 }

@@ -44,6 +44,9 @@ pub struct Stats {
     pub emit_millis: f64,
     /// Clear, transform, bin, raster and resolve, milliseconds.
     pub draw_millis: f64,
+    /// What a graphics card says that drawing took, from its first command to its last, milliseconds;
+    /// `None` on the processor, and for cards that do not tell.
+    pub gpu_millis: Option<f64>,
     /// Triangles submitted, instances counted.
     pub triangle_count: u64,
     /// Cards submitted.
@@ -56,12 +59,12 @@ pub struct Stats {
     pub item_count: u64,
     /// Textures in the list.
     pub texture_count: u64,
-    /// Vertices transformed.
+    /// Vertices transformed; corners submitted to a graphics card.
     pub vertex_count: u64,
     /// (primitive, pixel) pairs of which a sample is covered, hidden ones included, summed over the
     /// sets of up to 16 samples that a picture is drawn in; `None` unless it was asked for.
     pub fragment_count: Option<u64>,
-    /// Threads of the pool that drew it.
+    /// Threads of the pool that drew it; 0 where a graphics card did.
     pub thread_count: usize,
 }
 

@@ -57,6 +57,14 @@ impl LeafPlace {
         Self { corner: [step(corner.x), step(corner.y)], rotation: rotation | mirror, tint }
     }
 
+    /// As two words, the first byte lowest: the corner; rotation and tint.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn words(self) -> [u32; 2] {
+        let [u, v] = self.corner;
+        let [r, g, b] = self.tint;
+        [u32::from(u) | u32::from(v) << 16, u32::from_le_bytes([self.rotation, r, g, b])]
+    }
+
     #[inline]
     fn corner(self, leaf_size: Vec2) -> Option<Vec2> {
         let [u, v] = self.corner.map(f32::from);
@@ -82,6 +90,19 @@ pub struct Distribution {
     largest_tint: f32,
     /// Layer after layer, the nearest first; rows from the top.
     places: Vec<LeafPlace>,
+}
+
+/// What another renderer needs to read a distribution.
+#[cfg(feature = "gpu")]
+#[derive(Debug)]
+pub(crate) struct Layout<'a> {
+    pub(crate) size: (u32, u32),
+    pub(crate) layer_count: u32,
+    pub(crate) leaf_size: Vec2,
+    pub(crate) versions: &'a [Vec2],
+    pub(crate) version_size: Vec2,
+    pub(crate) largest_tint: f32,
+    pub(crate) places: &'a [LeafPlace],
 }
 
 /// What a distribution is made of.
@@ -139,6 +160,20 @@ impl Distribution {
     /// Unique in this process; the cache key of a renderer.
     pub fn id(&self) -> u64 {
         self.id
+    }
+
+    /// What another renderer needs.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn layout(&self) -> Layout<'_> {
+        Layout {
+            size: (self.width, self.height),
+            layer_count: u32::try_from(self.layer_count).expect("checked when made"),
+            leaf_size: self.leaf_size,
+            versions: &self.versions,
+            version_size: self.version_size,
+            largest_tint: self.largest_tint,
+            places: &self.places,
+        }
     }
 
     /// Bytes of all layers as stored.

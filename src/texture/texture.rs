@@ -22,7 +22,7 @@ pub const MAX_TEXEL_COUNT: u64 = 1 << 26;
 pub const MAX_DECODED_TEXEL_COUNT: usize = 1 << 22;
 
 /// What a texture coordinate outside [0, 1] reads.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub enum Wrap {
     /// The texture again.
     #[default]
@@ -34,7 +34,7 @@ pub enum Wrap {
 }
 
 /// How texels are combined.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub enum Filter {
     /// The nearest texel of level 0.
     Nearest,
@@ -46,7 +46,7 @@ pub enum Filter {
 }
 
 /// Wrap mode of each axis, and the filter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub struct Sampler {
     /// For u and v.
     pub wrap: [Wrap; 2],

@@ -1,0 +1,365 @@
+//! Which adapters there are, and the one device that is opened on each.
+//!
+//! A device is opened by the first picture that is drawn with it and kept for the next ones. It belongs to
+//! the process that opened it: a child of a fork gets [`LodError::Forked`]. [`close_all`] drops every
+//! device before the process ends, because some drivers hang when it is left to them. What a device
+//! refuses is kept and becomes an error of the call that caused it; a device that is lost is forgotten,
+//! so that the next call opens another.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
+use std::time::Duration;
+
+use wgpu::{
+    Adapter, Backends, Device, DeviceDescriptor, DeviceType, ErrorFilter, Features, Instance,
+    InstanceDescriptor, InstanceFlags, Limits, PollType, Queue, SubmissionIndex, TextureFormat,
+    TextureUsages,
+};
+
+use crate::error::LodError;
+use crate::gpu::renderer::Renderer;
+use crate::job::Job;
+
+/// Names the adapter where a call states none.
+pub const ADAPTER_VARIABLE: &str = "TREELOD_ADAPTER";
+
+/// What to do where there is no adapter.
+const WHAT_TO_INSTALL: &str = "install the graphics card's Vulkan driver, or Mesa's, which also draws \
+                               without a card (Debian: apt-get install mesa-vulkan-drivers libvulkan1)";
+
+/// Storage buffers that the vertex stage of a shape reads.
+const STORAGE_BUFFER_COUNT: u32 = 12;
+
+/// How long a wait for the device lasts before it looks whether somebody wants it to stop.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+/// A graphics adapter, as its driver describes it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AdapterFacts {
+    /// Its name, which chooses it.
+    pub name: String,
+    /// "discrete", "integrated", "virtual", "cpu" or "other".
+    pub kind: &'static str,
+    /// "vulkan", "metal" or "dx12".
+    pub api: String,
+    /// The driver and its version.
+    pub driver: String,
+    /// Whether it tells how long it takes itself.
+    pub has_timestamps: bool,
+}
+
+impl AdapterFacts {
+    fn of(adapter: &Adapter) -> Self {
+        let info = adapter.get_info();
+        let driver = format!("{} {}", info.driver, info.driver_info);
+        Self {
+            name: info.name,
+            kind: match info.device_type {
+                DeviceType::DiscreteGpu => "discrete",
+                DeviceType::IntegratedGpu => "integrated",
+                DeviceType::VirtualGpu => "virtual",
+                DeviceType::Cpu => "cpu",
+                DeviceType::Other => "other",
+            },
+            api: info.backend.to_string(),
+            driver: driver.trim().to_owned(),
+            has_timestamps: adapter.features().contains(Features::TIMESTAMP_QUERY),
+        }
+    }
+
+    /// Which is taken where nobody chooses: cards before what draws on the processor.
+    fn rank(&self) -> usize {
+        let order = ["discrete", "integrated", "virtual", "other", "cpu"];
+        order.iter().position(|kind| *kind == self.kind).unwrap_or(order.len())
+    }
+}
+
+/// What is shared by all that is done with a device.
+#[derive(Debug)]
+pub(crate) struct Gpu {
+    pub(crate) device: Device,
+    pub(crate) queue: Queue,
+    pub(crate) facts: AdapterFacts,
+    pub(crate) limits: Limits,
+    /// Of pictures while they are drawn: floats, or halves where floats cannot be blended.
+    pub(crate) color_format: TextureFormat,
+    /// Of one number a pixel that is multiplied.
+    pub(crate) product_format: TextureFormat,
+    /// Whether four samples of the colour format can be drawn at once.
+    pub(crate) has_four_samples: bool,
+    /// Why it is of no more use.
+    lost: Arc<Mutex<Option<String>>>,
+    /// What it refused.
+    refused: Arc<Mutex<Vec<String>>>,
+}
+
+impl Gpu {
+    fn open(adapter: &Adapter) -> Result<Self, LodError> {
+        let facts = AdapterFacts::of(adapter);
+        let wanted = Features::TIMESTAMP_QUERY
+            | Features::FLOAT32_BLENDABLE
+            | Features::TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES
+            | Features::INDIRECT_FIRST_INSTANCE;
+        let features = adapter.features() & wanted;
+        let limits = adapter.limits();
+        if limits.max_storage_buffers_per_shader_stage < STORAGE_BUFFER_COUNT
+            || !features.contains(Features::INDIRECT_FIRST_INSTANCE)
+        {
+            let why = format!("{} lacks what drawing needs: it is too old", facts.name);
+            return Err(LodError::NoAdapter { why });
+        }
+        let descriptor = DeviceDescriptor {
+            label: Some("treelod"),
+            required_features: features,
+            required_limits: limits.clone(),
+            ..DeviceDescriptor::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+            .map_err(|error| LodError::Device { why: format!("did not open: {error}") })?;
+        let lost = Arc::new(Mutex::new(None));
+        let refused = Arc::new(Mutex::new(Vec::new()));
+        let told = Arc::clone(&lost);
+        device.set_device_lost_callback(move |reason, message| {
+            *locked(&told) = Some(format!("{reason:?}: {message}"));
+        });
+        let told = Arc::clone(&refused);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            locked(&told).push(error.to_string());
+        }));
+        let blends_floats = features.contains(Features::FLOAT32_BLENDABLE);
+        let (color_format, product_format) = if blends_floats {
+            (TextureFormat::Rgba32Float, TextureFormat::R32Float)
+        } else {
+            (TextureFormat::Rgba16Float, TextureFormat::R16Float)
+        };
+        let drawn = adapter.get_texture_format_features(color_format);
+        let has_four_samples = drawn.flags.sample_count_supported(4)
+            && drawn.allowed_usages.contains(TextureUsages::RENDER_ATTACHMENT)
+            && (!blends_floats
+                || features.contains(Features::TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES));
+        Ok(Self {
+            device,
+            queue,
+            facts,
+            limits,
+            color_format,
+            product_format,
+            has_four_samples,
+            lost,
+            refused,
+        })
+    }
+
+    /// Whether it is of no more use.
+    pub(crate) fn is_lost(&self) -> bool {
+        locked(&self.lost).is_some()
+    }
+
+    /// What it has refused since the last call, or why it was lost.
+    ///
+    /// # Errors
+    /// [`LodError::Device`].
+    pub(crate) fn check(&self) -> Result<(), LodError> {
+        let refused = std::mem::take(&mut *locked(&self.refused));
+        if let Some(why) = &*locked(&self.lost) {
+            return Err(LodError::Device { why: format!("was lost ({why})") });
+        }
+        match refused.first() {
+            None => Ok(()),
+            Some(first) => Err(LodError::Device { why: format!("refused a command: {first}") }),
+        }
+    }
+
+    /// Runs what allocates, and says if the device ran out of memory.
+    ///
+    /// # Errors
+    /// [`LodError::Device`].
+    pub(crate) fn allocating<T>(&self, allocate: impl FnOnce() -> T) -> Result<T, LodError> {
+        let scope = self.device.push_error_scope(ErrorFilter::OutOfMemory);
+        let made = allocate();
+        match pollster::block_on(scope.pop()) {
+            None => self.check().map(|()| made),
+            Some(error) => {
+                locked(&self.refused).clear();
+                Err(LodError::Device { why: format!("is out of memory: {error}") })
+            }
+        }
+    }
+
+    /// Fails on purpose.
+    ///
+    /// # Errors
+    /// What a failure of that kind is.
+    pub(crate) fn fail(&self, kind: &str) -> Result<(), LodError> {
+        let buffer = |size: u64| wgpu::BufferDescriptor {
+            label: Some("too much"),
+            size,
+            usage: wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        };
+        match kind {
+            "lost" => {
+                self.device.destroy();
+                Ok(())
+            }
+            "memory" => {
+                // far more than any machine has, in pieces that are allowed
+                let size = self.limits.max_buffer_size.min(1 << 40);
+                let mut held = Vec::new();
+                for _ in 0..1 << 14 {
+                    held.push(self.allocating(|| self.device.create_buffer(&buffer(size)))?);
+                }
+                Ok(())
+            }
+            _ => {
+                // a size that no limit allows
+                let _ = self.device.create_buffer(&buffer(u64::MAX - 3));
+                self.check()
+            }
+        }
+    }
+
+    /// Waits until a submission is done.
+    ///
+    /// # Errors
+    /// [`LodError::Cancelled`], and what the device refused or why it was lost.
+    pub(crate) fn wait(&self, submission: &SubmissionIndex, job: &Job) -> Result<(), LodError> {
+        loop {
+            job.check()?;
+            let wait = PollType::Wait {
+                submission_index: Some(submission.clone()),
+                timeout: Some(PATIENCE),
+            };
+            match self.device.poll(wait) {
+                Ok(_) => return self.check(),
+                Err(wgpu::PollError::Timeout) => self.check()?,
+                Err(error) => {
+                    return Err(LodError::Device { why: format!("cannot be waited for: {error}") });
+                }
+            }
+        }
+    }
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Devices that are open, by their adapter.
+struct Registry {
+    instance: Option<Instance>,
+    /// All there are, once somebody asked; the one that is taken where nobody chooses first.
+    adapters: Vec<(AdapterFacts, Adapter)>,
+    open: Vec<(AdapterFacts, Arc<Mutex<Renderer>>)>,
+    closed: bool,
+}
+
+static REGISTRY: Mutex<Registry> =
+    Mutex::new(Registry { instance: None, adapters: Vec::new(), open: Vec::new(), closed: false });
+
+/// Process that used the registry first; 0 before that. Beside the lock, which a fork may leave locked.
+static OWNER: AtomicU32 = AtomicU32::new(0);
+
+fn registry() -> Result<MutexGuard<'static, Registry>, LodError> {
+    let process = std::process::id();
+    match OWNER.compare_exchange(0, process, Ordering::AcqRel, Ordering::Acquire) {
+        Err(owner) if owner != process => Err(LodError::Forked),
+        _ => Ok(locked(&REGISTRY)),
+    }
+}
+
+impl Registry {
+    fn adapters(&mut self) -> Result<&[(AdapterFacts, Adapter)], LodError> {
+        if self.closed {
+            return Err(LodError::Device { why: "cannot be opened: the process ends".to_owned() });
+        }
+        if self.adapters.is_empty() {
+            let instance = self.instance.get_or_insert_with(|| {
+                let mut descriptor = InstanceDescriptor::new_without_display_handle();
+                descriptor.backends = Backends::VULKAN | Backends::METAL | Backends::DX12;
+                // the arguments of indirect draws are our own
+                descriptor.flags = InstanceFlags::from_build_config().with_env()
+                    & !InstanceFlags::VALIDATION_INDIRECT_CALL;
+                Instance::new(descriptor)
+            });
+            let found = pollster::block_on(instance.enumerate_adapters(Backends::all()));
+            self.adapters = found.into_iter().map(|a| (AdapterFacts::of(&a), a)).collect();
+            self.adapters.sort_by_key(|(facts, _)| facts.rank());
+        }
+        Ok(&self.adapters)
+    }
+}
+
+/// The adapters of this machine, the one that is taken where nobody chooses first.
+///
+/// # Errors
+/// [`LodError::Forked`] in a child of the process that asked first.
+pub fn adapters() -> Result<Vec<AdapterFacts>, LodError> {
+    Ok(registry()?.adapters()?.iter().map(|(facts, _)| facts.clone()).collect())
+}
+
+/// The renderer of the adapter whose name contains `name`, in any case, or which is of that kind; `None`:
+/// what `TREELOD_ADAPTER` names, else the first.
+///
+/// # Errors
+/// [`LodError::NoAdapter`] if there is none, [`LodError::Device`] if it does not open.
+pub(crate) fn renderer_of(name: Option<&str>) -> Result<Arc<Mutex<Renderer>>, LodError> {
+    let variable = std::env::var(ADAPTER_VARIABLE).ok().filter(|text| !text.trim().is_empty());
+    let wanted = name.map(str::to_owned).or(variable).map(|text| text.trim().to_lowercase());
+    let mut registry = registry()?;
+    let adapters = registry.adapters()?;
+    let fits = |facts: &AdapterFacts| {
+        let name = facts.name.to_lowercase();
+        wanted.as_ref().is_none_or(|wanted| name.contains(wanted) || facts.kind == wanted)
+    };
+    let Some((facts, adapter)) = adapters.iter().find(|(facts, _)| fits(facts)).cloned() else {
+        let names: Vec<String> = adapters.iter().map(|(f, _)| format!("{:?}", f.name)).collect();
+        let why = match wanted {
+            Some(wanted) if !names.is_empty() => {
+                format!("no graphics adapter is called {wanted:?}; there are {}", names.join(", "))
+            }
+            _ => format!("there is no graphics adapter: {WHAT_TO_INSTALL}"),
+        };
+        return Err(LodError::NoAdapter { why });
+    };
+    registry.open.retain(|(_, renderer)| match renderer.try_lock() {
+        Ok(renderer) => !renderer.gpu().is_lost(),
+        Err(TryLockError::WouldBlock) => true,
+        Err(TryLockError::Poisoned(_)) => false,
+    });
+    if let Some((_, renderer)) = registry.open.iter().find(|(open, _)| *open == facts) {
+        return Ok(Arc::clone(renderer));
+    }
+    let renderer = Arc::new(Mutex::new(Renderer::new(Gpu::open(&adapter)?)?));
+    registry.open.push((facts, Arc::clone(&renderer)));
+    Ok(renderer)
+}
+
+/// A renderer for one picture: waits for others to be done with it, unless somebody wants it to stop.
+///
+/// # Errors
+/// [`LodError::Cancelled`].
+pub(crate) fn taken<'a>(
+    renderer: &'a Mutex<Renderer>,
+    job: &Job,
+) -> Result<MutexGuard<'a, Renderer>, LodError> {
+    loop {
+        job.check()?;
+        match renderer.try_lock() {
+            Ok(guard) => return Ok(guard),
+            Err(TryLockError::Poisoned(poisoned)) => return Ok(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(1)),
+        }
+    }
+}
+
+/// Drops every device, if this process has any; none can be opened after that.
+pub fn close_all() {
+    if OWNER.load(Ordering::Acquire) == std::process::id() {
+        let mut registry = locked(&REGISTRY);
+        registry.closed = true;
+        registry.open.clear();
+        registry.adapters.clear();
+        registry.instance = None;
+    }
+}
