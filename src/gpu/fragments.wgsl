@@ -87,7 +87,7 @@ fn depth_of(z: f32) -> f32 {
 #endif
 
 @fragment fn shade(
-    in: Corner,
+    corner: Corner,
     @builtin(front_facing) faces: bool,
 #if SAMPLED
     @builtin(sample_index) in_pixel: u32,
@@ -97,6 +97,7 @@ fn depth_of(z: f32) -> f32 {
     -> Targets
 #endif
 {
+    let in = corrected(corner);
     let tint = instances[in.what.y].tint;
 #if PARALLAX
     let seen = look(in);
@@ -200,6 +201,27 @@ fn depth_of(z: f32) -> f32 {
 #endif
     return targets;
 #endif
+}
+
+// What was interpolated, without what drivers do to it.
+fn corrected(corner: Corner) -> Corner {
+    var in = corner;
+#if FOUR
+#if ALPHA
+    in.opacity /= in.one;
+#endif
+#if UV
+    in.uv /= in.one;
+#endif
+#if LIT
+    in.front /= in.one;
+    in.back /= in.one;
+#endif
+#if LOCAL
+    in.local /= in.one;
+#endif
+#endif
+    return in;
 }
 
 #if NORMAL

@@ -24,7 +24,7 @@ pub(crate) struct InstanceData {
     fade: f32,
     seed: u32,
     mirrored: u32,
-    unused: u32,
+    one: f32,
 }
 
 /// An item as shaders read it.
@@ -104,7 +104,7 @@ impl Packed {
                 fade: instance.fade,
                 seed: instance.seed,
                 mirrored: u32::from(instance.linear.determinant() < 0.0),
-                unused: 0,
+                one: 1.0,
             }
         }));
         let mut order = 1_u64;

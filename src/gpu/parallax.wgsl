@@ -129,10 +129,10 @@ fn hit_of(ray: Ray, inside: vec2<f32>, number: u32, item: u32, lod: f32) -> Hit 
     if at.toward.w == 0.0 || cosine < LEAST_COSINE {
         return missed;
     }
-    let from = ray.point - frames.center.xyz;
+    let from_center = ray.point - frames.center.xyz;
     let reach = frames.center.w;
-    let height = dot(from, at.toward.xyz);
-    let here = vec2(dot(from, at.right.xyz), dot(from, at.up.xyz));
+    let height = dot(from_center, at.toward.xyz);
+    let here = vec2(dot(from_center, at.right.xyz), dot(from_center, at.up.xyz));
     let across = vec2(dot(ray.direction, at.right.xyz), dot(ray.direction, at.up.xyz));
     let scale = vec2(0.5, -0.5) / reach;
     let step_count = items[item].step_count;
@@ -166,8 +166,8 @@ fn hit_of(ray: Ray, inside: vec2<f32>, number: u32, item: u32, lod: f32) -> Hit 
 fn on_plane(ray: Ray, number: u32) -> vec3<f32> {
     let at = frame[number];
     let cosine = -dot(ray.direction, at.toward.xyz);
-    let from = ray.point - frames.center.xyz;
-    let met = from + ray.direction * (dot(from, at.toward.xyz) / cosine);
+    let from_center = ray.point - frames.center.xyz;
+    let met = from_center + ray.direction * (dot(from_center, at.toward.xyz) / cosine);
     let texel = frames.size.z / (2.0 * frames.center.w);
     return vec3(dot(met, at.right.xyz) * texel, dot(met, at.up.xyz) * texel,
         select(0.0, 1.0, cosine >= LEAST_COSINE && at.toward.w == 1.0));

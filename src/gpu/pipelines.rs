@@ -117,6 +117,7 @@ impl Key {
             "ALPHA" => mixing != Mixing::Opaque && !is_parallax,
             "SLAB" | "DEPTH" => self.has_slab,
             "DITHER" => self.is_dithered,
+            "FOUR" => self.rate() == "sample",
             "SAMPLED" => self.is_dithered || mixing == Mixing::Coverage,
             "COLOR" => draws && targets.color,
             "ALBEDO" => draws && targets.albedo,

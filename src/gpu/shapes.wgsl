@@ -27,7 +27,8 @@ struct Instance {
     seed: u32,
     // 1 where the map mirrors.
     mirrored: u32,
-    unused: u32,
+    // 1, which no compiler knows.
+    one: f32,
 }
 
 struct Item {
@@ -83,6 +84,11 @@ struct Corner {
 #endif
 #if LOCAL
     @location(8) @interpolate(perspective, RATE) local: vec3<f32>,
+#endif
+#if FOUR
+    // 1 everywhere. Some drivers (Mesa's llvmpipe 22.3) divide what they interpolate away from a pixel's
+    // middle by the depth in the middle. What comes out where 1 went in is how far they are off.
+    @location(9) @interpolate(perspective, RATE) one: f32,
 #endif
 }
 
@@ -256,6 +262,9 @@ fn line_corner(corner: u32, instance: u32, vertices: vec2<u32>, width: f32) -> v
 #endif
 #if LOCAL
     made.local = position(vertex);
+#endif
+#if FOUR
+    made.one = instances[instance].one;
 #endif
     return made;
 }
