@@ -30,6 +30,9 @@ const WHAT_TO_INSTALL: &str = "install the graphics card's Vulkan driver, or Mes
 /// Storage buffers that the vertex stage of a shape reads.
 const STORAGE_BUFFER_COUNT: u32 = 12;
 
+/// Of the memory that the driver says there is: more is refused where the driver itself would not.
+const MEMORY_PERCENT: u8 = 90;
+
 /// How long a wait for the device lasts before it looks whether somebody wants it to stop.
 const PATIENCE: Duration = Duration::from_millis(20);
 
@@ -150,8 +153,15 @@ impl Gpu {
         })
     }
 
+    /// Lets it tell what has happened to it.
+    fn look(&self) {
+        // what it answers is told to those who wait
+        let _ = self.device.poll(PollType::Poll);
+    }
+
     /// Whether it is of no more use.
     pub(crate) fn is_lost(&self) -> bool {
+        self.look();
         locked(&self.lost).is_some()
     }
 
@@ -191,29 +201,38 @@ impl Gpu {
     /// # Errors
     /// What a failure of that kind is.
     pub(crate) fn fail(&self, kind: &str) -> Result<(), LodError> {
-        let buffer = |size: u64| wgpu::BufferDescriptor {
-            label: Some("too much"),
-            size,
-            usage: wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        };
         match kind {
             "lost" => {
                 self.device.destroy();
-                Ok(())
+                self.wait(&self.queue.submit([]), &Job::default())
             }
             "memory" => {
-                // far more than any machine has, in pieces that are allowed
-                let size = self.limits.max_buffer_size.min(1 << 40);
+                // 16 GiB each, more of them than any card has
+                let side = self.limits.max_texture_dimension_2d;
+                let descriptor = wgpu::TextureDescriptor {
+                    label: Some("too much"),
+                    size: wgpu::Extent3d { width: side, height: side, depth_or_array_layers: 1 },
+                    mip_level_count: 1,
+                    sample_count: if self.has_four_samples { 4 } else { 1 },
+                    dimension: wgpu::TextureDimension::D2,
+                    format: self.color_format,
+                    usage: TextureUsages::RENDER_ATTACHMENT,
+                    view_formats: &[],
+                };
                 let mut held = Vec::new();
-                for _ in 0..1 << 14 {
-                    held.push(self.allocating(|| self.device.create_buffer(&buffer(size)))?);
+                for _ in 0..256 {
+                    held.push(self.allocating(|| self.device.create_texture(&descriptor))?);
                 }
                 Ok(())
             }
             _ => {
                 // a size that no limit allows
-                let _ = self.device.create_buffer(&buffer(u64::MAX - 3));
+                let _ = self.device.create_buffer(&wgpu::BufferDescriptor {
+                    label: Some("too large"),
+                    size: u64::MAX - 3,
+                    usage: wgpu::BufferUsages::COPY_DST,
+                    mapped_at_creation: false,
+                });
                 self.check()
             }
         }
@@ -234,6 +253,9 @@ impl Gpu {
                 Ok(_) => return self.check(),
                 Err(wgpu::PollError::Timeout) => self.check()?,
                 Err(error) => {
+                    // nothing is submitted to a device that is lost
+                    self.look();
+                    self.check()?;
                     return Err(LodError::Device { why: format!("cannot be waited for: {error}") });
                 }
             }
@@ -280,6 +302,7 @@ impl Registry {
                 // the arguments of indirect draws are our own
                 descriptor.flags = InstanceFlags::from_build_config().with_env()
                     & !InstanceFlags::VALIDATION_INDIRECT_CALL;
+                descriptor.memory_budget_thresholds.for_resource_creation = Some(MEMORY_PERCENT);
                 Instance::new(descriptor)
             });
             let found = pollster::block_on(instance.enumerate_adapters(Backends::all()));

@@ -69,7 +69,7 @@ pub fn draw(
 /// Makes a device fail, to show that callers survive it: "lost", "memory" or "command".
 ///
 /// # Errors
-/// What the failure is, but for a device that is lost: the next call tells.
+/// What the failure is.
 pub fn fail(adapter: Option<&str>, kind: &str) -> Result<(), LodError> {
     let shared = device::renderer_of(adapter)?;
     let renderer = device::taken(&shared, &Job::default())?;

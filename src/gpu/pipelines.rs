@@ -345,5 +345,12 @@ fn targets_of(gpu: &Gpu, key: &Key) -> Vec<Option<ColorTargetState>> {
     let Targets { color, albedo, normal, ids } = key.targets;
     let write_mask = if key.holds("ID_TARGET") { ColorWrites::ALL } else { ColorWrites::empty() };
     let ids = ids.then_some(ColorTargetState { format: ID_FORMAT, blend: None, write_mask });
-    vec![drawn(color), drawn(albedo), drawn(normal), ids]
+    trimmed(vec![drawn(color), drawn(albedo), drawn(normal), ids])
+}
+
+/// A list of targets without those at its end that are not there: pipelines and passes must agree.
+pub(crate) fn trimmed<T>(mut targets: Vec<Option<T>>) -> Vec<Option<T>> {
+    let length = targets.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
+    targets.truncate(length);
+    targets
 }

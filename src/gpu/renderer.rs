@@ -15,7 +15,7 @@ use crate::draw_list::{Blend, DrawList, Source};
 use crate::error::{LodError, check_finite, check_limit};
 use crate::gpu::device::Gpu;
 use crate::gpu::packing::{Packed, Run, greatest_depth};
-use crate::gpu::pipelines::{Mixing, Pipelines, Search, Shapes, Targets};
+use crate::gpu::pipelines::{Mixing, Pipelines, Search, Shapes, Targets, trimmed};
 use crate::gpu::readback::read;
 use crate::gpu::resources::{Resources, empty_buffer, group};
 use crate::gpu::sums::{Planes, Shape};
@@ -365,12 +365,12 @@ impl Renderer {
     fn draw_set(&self, encoder: &mut CommandEncoder, picture: &Picture<'_>, is_first: bool) {
         let planes = self.planes.as_ref().expect("made before");
         let (drawn, targets) = (&planes.drawn, planes.shape.targets);
-        let colors = [
+        let colors = trimmed(vec![
             attachment(&drawn.color, targets.color, Color::TRANSPARENT),
             attachment(&drawn.albedo, targets.albedo, Color::TRANSPARENT),
             attachment(&drawn.normal, targets.normal, Color::TRANSPARENT),
             attachment(&drawn.ids, targets.ids, Color { r: f64::from(EMPTY_ID), ..Color::BLACK }),
-        ];
+        ]);
         let clock = self.clock.as_ref().filter(|_| is_first);
         let mut pass = encoder.begin_render_pass(&RenderPassDescriptor {
             label: Some("shapes"),
@@ -428,7 +428,7 @@ impl Renderer {
         {
             let mut pass = encoder.begin_render_pass(&RenderPassDescriptor {
                 label: Some("what was found"),
-                color_attachments: &[None, None, None, ids],
+                color_attachments: &trimmed(vec![None, None, None, ids]),
                 depth_stencil_attachment: Some(depth_attachment(&drawn.depth, LoadOp::Load)),
                 ..RenderPassDescriptor::default()
             });

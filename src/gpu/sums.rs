@@ -89,7 +89,6 @@ impl Planes {
         let side = u64::from(width.max(height));
         let limit = u64::from(gpu.limits.max_texture_dimension_2d);
         check_limit("size", side, limit, "pixels a side of this card's pictures")?;
-        let drawn = Drawn::new(gpu, &shape)?;
         let pixel_count = u64::from(width) * u64::from(height);
         let storage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
         let plane = |label: &str, wanted: bool, bytes: u64| {
@@ -107,6 +106,7 @@ impl Planes {
             color8: plane("color8", shape.color8, 4)?,
         };
         let found = plane("found", shape.searches, 4)?;
+        let drawn = Drawn::new(gpu, &shape)?;
         let facts_size = size_of::<SumFacts>() as u64;
         let facts = empty_buffer(gpu, "sum", BufferUsages::UNIFORM, facts_size)?;
         let search_facts = empty_buffer(gpu, "search", BufferUsages::UNIFORM, 16)?;

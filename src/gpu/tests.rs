@@ -1,1 +1,258 @@
-//! tests
+//! The same lists on the card and on the processor: random ones that hold everything a list can, and
+//! what random ones do not.
+
+use glam::{DAffine3, Mat3, Vec3, Vec4};
+
+use super::render;
+use crate::draw_list::{Blend, DrawList, Instance, Primitive, Surface};
+use crate::error::LodError;
+use crate::job::Job;
+use crate::raster::parallax::tests as windows;
+use crate::raster::tests::{add, buffers, pixel_view, soup, soup_views};
+use crate::raster::{Frame, Outputs, Renderer, Settings};
+use crate::texture::{Filter, Sampler};
+use crate::view::View;
+
+const ALL: Outputs =
+    Outputs { color: true, depth: true, ids: true, normal: true, albedo: true, color8: true };
+
+/// Of colours: texels are halves on a card, and some cards filter with weights in steps of 1/256. Both
+/// together stay below a code of eight bits.
+const COLOR_TOLERANCE: f32 = 1.0 / 255.0;
+
+/// Of normals: those of an untextured shape are taken at each sample on a card, and in the middle of the
+/// samples on the processor, and noise has short ones, which are made long.
+const NORMAL_TOLERANCE: f32 = 0.06;
+
+/// Of depths, as a share: f32 numbers that were computed in another order.
+const DEPTH_TOLERANCE: f32 = 1e-4;
+
+/// Share of a soup's pixels that may differ by more: rims of shapes that rounding moves over a sample.
+/// Seen: 0.004.
+const RIM: f64 = 0.008;
+
+/// The same of windows on random depths, which a step of parallax carries far. Seen: 0.023.
+const RIM_OF_DEPTHS: f64 = 0.04;
+
+/// The same where levels of detail are read, which a card measures over two by two pixels; the levels of
+/// a soup's textures have nothing to do with one another. Seen: 0.077 and 0.123.
+const LEVELS: f64 = 0.15;
+
+fn settings(sample_count: u32, outputs: Outputs) -> Settings {
+    let background = Vec4::new(0.1, 0.2, 0.3, 0.5);
+    Settings { sample_count, outputs, background, counts_fragments: false }
+}
+
+/// A list on the card; `None` where there is none and nobody promised one.
+fn on_card(list: &DrawList, view: &View, settings: &Settings) -> Option<Frame> {
+    match render(None, list, view, settings, &Job::default()) {
+        Ok((frame, _)) => Some(frame),
+        Err(LodError::NoAdapter { why }) => {
+            let promised = std::env::var_os("CI").is_some();
+            assert!(!promised, "a check of the whole project needs a card: {why}");
+            None
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+fn on_processor(list: &DrawList, view: &View, settings: &Settings) -> Frame {
+    Renderer::default().render(list, view, settings, &Job::default()).expect("valid")
+}
+
+/// Share of the pixels of each plane that differ by more than its tolerance.
+fn differences(a: &Frame, b: &Frame) -> [(&'static str, f64); 6] {
+    let length = a.width * a.height;
+    let share = |differs: &dyn Fn(usize) -> bool, is_there: bool| {
+        let count = if is_there { (0..length).filter(|&at| differs(at)).count() } else { 0 };
+        count as f64 / length as f64
+    };
+    let far = |a: Vec4, b: Vec4| (a - b).abs().max_element() > COLOR_TOLERANCE;
+    let deep = |a: f32, b: f32| a != b && !((a - b).abs() <= DEPTH_TOLERANCE * b.abs());
+    let coded = |at: usize| a.color8[at].iter().zip(b.color8[at]).any(|(a, b)| a.abs_diff(b) > 2);
+    let turned = |a: Vec3, b: Vec3| (a - b).abs().max_element() > NORMAL_TOLERANCE;
+    [
+        ("color", share(&|at| far(a.color[at], b.color[at]), !b.color.is_empty())),
+        ("albedo", share(&|at| far(a.albedo[at], b.albedo[at]), !b.albedo.is_empty())),
+        ("depth", share(&|at| deep(a.depth[at], b.depth[at]), !b.depth.is_empty())),
+        ("ids", share(&|at| a.ids[at] != b.ids[at], !b.ids.is_empty())),
+        ("normal", share(&|at| turned(a.normal[at], b.normal[at]), !b.normal.is_empty())),
+        ("color8", share(&|at| coded(at), !b.color8.is_empty())),
+    ]
+}
+
+/// Largest of them.
+fn difference(a: &Frame, b: &Frame) -> f64 {
+    differences(a, b).into_iter().fold(0.0, |most, (_, share)| share.max(most))
+}
+
+/// Checks that a list looks alike on both.
+fn check(
+    what: &str,
+    list: &DrawList,
+    view: &View,
+    (sample_count, outputs): (u32, Outputs),
+    most: f64,
+) {
+    let settings = settings(sample_count, outputs);
+    let Some(card) = on_card(list, view, &settings) else { return };
+    let found = differences(&card, &on_processor(list, view, &settings));
+    let fits = found.iter().all(|&(_, share)| share <= most);
+    assert!(fits, "{what}, {sample_count} samples, more than {most}: {found:?}");
+}
+
+/// The same without levels of detail.
+fn flat(mut list: DrawList) -> DrawList {
+    for item in &mut list.items {
+        let sampler: &mut Sampler = match &mut item.surface {
+            Surface::VertexColor => continue,
+            Surface::Textured { sampler, .. }
+            | Surface::Indirect { sampler, .. }
+            | Surface::Parallax { sampler, .. } => sampler,
+        };
+        if sampler.filter == Filter::Trilinear {
+            sampler.filter = Filter::Bilinear;
+        }
+    }
+    list
+}
+
+#[test]
+fn soups_look_alike() {
+    for (seed, view) in (0..3).flat_map(|seed| soup_views().map(|view| (seed, view))) {
+        let list = soup(seed, &view);
+        let flat = flat(list.clone());
+        for sample_count in [1, 8, 21] {
+            check("soup", &flat, &view, (sample_count, ALL), RIM);
+            check("soup with levels", &list, &view, (sample_count, ALL), LEVELS);
+        }
+        // colour alone is drawn with four samples at once
+        check("soup", &flat, &view, (4, Outputs::COLOR), 2.0 * RIM);
+        check("soup with levels", &list, &view, (4, Outputs::COLOR), LEVELS);
+        check("soup", &flat, &view, (4, Outputs::COLOR_DEPTH), RIM);
+        // nothing but depth: what a shadow map is
+        check("soup", &flat, &view, (1, Outputs { color: false, ..Outputs::COLOR_DEPTH }), RIM);
+    }
+}
+
+#[test]
+fn windows_look_alike() {
+    for (seed, view) in (0..2).flat_map(|seed| windows::views().map(|view| (seed, view))) {
+        let list = windows::list(seed, &view);
+        let flat = flat(list.clone());
+        for sample_count in [1, 4] {
+            let outputs = Outputs { color8: false, ..ALL };
+            check("windows", &flat, &view, (sample_count, outputs), RIM_OF_DEPTHS);
+            check("windows with levels", &list, &view, (sample_count, outputs), LEVELS);
+        }
+        check("windows", &flat, &view, (4, Outputs::COLOR), RIM_OF_DEPTHS);
+    }
+}
+
+#[test]
+fn copies_that_fade_and_are_mirrored_look_alike() {
+    for view in soup_views() {
+        let mut list = flat(soup(5, &view));
+        for (number, instance) in (0_u8..).zip(&mut list.instances) {
+            instance.fade = [1.0, 0.4, -0.6, 0.75][usize::from(number) % 4];
+            instance.seed = number.into();
+            if number % 3 == 0 {
+                instance.linear *= Mat3::from_diagonal(Vec3::new(-1.2, 0.8, 1.0));
+            }
+        }
+        // two copies of everything, of which one fades and one does not
+        let mut doubled = list.clone();
+        for item in &mut doubled.items {
+            let first = doubled.instances[item.instances.start as usize];
+            let start = u32::try_from(doubled.instances.len()).expect("few");
+            let moved = first.translation + Vec3::new(0.3, -0.2, 0.1);
+            doubled.instances.extend([Instance { translation: moved, fade: 1.0, ..first }, first]);
+            item.instances = start..start + 2;
+        }
+        for sample_count in [1, 4, 16] {
+            check("fading soup", &list, &view, (sample_count, ALL), RIM);
+            check("doubled soup", &doubled, &view, (sample_count, ALL), RIM);
+        }
+        check("fading soup", &list, &view, (4, Outputs::COLOR), 2.0 * RIM);
+    }
+}
+
+/// So many points of one pixel, row after row over a picture, each a little nearer than the one before.
+fn rows_of_points(view: &View, count: u32, blend: Blend) -> DrawList {
+    let at = |index: u32| {
+        let (x, y) = (index % view.width, index / view.width % view.height);
+        [x as f32 + 0.5, y as f32 + 0.5, index as f32 * 1e-6]
+    };
+    let points: Vec<[f32; 3]> = (0..count).map(at).collect();
+    let mut data = buffers(&points, &(0..count).collect::<Vec<u32>>());
+    for (index, front) in (0_u32..).zip(&mut data.front) {
+        *front = Vec3::new((index % 7) as f32 / 7.0, (index % 11) as f32 / 11.0, 0.5);
+    }
+    data.base.iter_mut().for_each(|base| base.w = 0.3);
+    let mut list = DrawList::default();
+    add(&mut list, view, Primitive::Points { size_px: 1.0 }, data, blend);
+    list
+}
+
+#[test]
+fn items_longer_than_one_call_are_drawn_in_order() {
+    // more points than a call draws, twice over
+    let view = pixel_view(64, 32);
+    for blend in [Blend::Opaque, Blend::Over] {
+        let mut list = rows_of_points(&view, 600_000, blend);
+        let behind = Instance::new(&DAffine3::from_translation(glam::DVec3::NEG_Z), &view);
+        list.instances.insert(0, behind);
+        list.items[0].instances = 0..2;
+        check("points", &list, &view, (1, ALL), 0.0);
+    }
+}
+
+#[test]
+fn what_differs_is_noticed() {
+    let [view, _] = soup_views();
+    let list = flat(soup(1, &view));
+    let settings = settings(1, ALL);
+    let Some(card) = on_card(&list, &view, &settings) else { return };
+    let noticed = |change: &dyn Fn(&mut DrawList)| {
+        let mut other = list.clone();
+        change(&mut other);
+        difference(&card, &on_processor(&other, &view, &settings))
+    };
+    assert!(noticed(&|_| {}) <= RIM, "the same");
+    type Change = (&'static str, fn(&mut DrawList));
+    let changes: [Change; 5] = [
+        ("tints", |list| list.instances.iter_mut().for_each(|i| i.tint *= 0.97)),
+        ("places", |list| list.instances.iter_mut().for_each(|i| i.translation.x += 0.03)),
+        ("fades", |list| list.instances.iter_mut().for_each(|i| i.fade = 0.9)),
+        ("slabs", |list| list.items.iter_mut().for_each(|i| i.slab = Some([2.1, 4.0]))),
+        ("paint order", |list| list.items.reverse()),
+    ];
+    for (what, change) in changes {
+        let found = noticed(&change);
+        assert!(found > 2.0 * RIM, "other {what}: {found}");
+    }
+}
+
+#[test]
+fn a_picture_that_no_card_holds_is_refused_at_once() {
+    let view = pixel_view(16384, 8192);
+    let settings = settings(1, ALL);
+    match render(None, &DrawList::default(), &view, &settings, &Job::default()) {
+        // a large card holds it
+        Ok(_) | Err(LodError::NoAdapter { .. }) => {}
+        Err(error) => {
+            assert!(matches!(error, LodError::Limit { name: "size", .. }), "{error}");
+        }
+    }
+}
+
+#[test]
+fn a_picture_that_nobody_wants_any_more_is_not_drawn() {
+    let [view, _] = soup_views();
+    let job = Job::default();
+    job.cancel();
+    match render(None, &soup(0, &view), &view, &settings(64, ALL), &job) {
+        Err(LodError::Cancelled | LodError::NoAdapter { .. }) => {}
+        other => panic!("not cancelled: {:?}", other.map(|(frame, _)| frame.stats)),
+    }
+}

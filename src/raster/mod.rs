@@ -17,7 +17,7 @@ mod grid;
 mod lookup;
 mod naive;
 mod over;
-mod parallax;
+pub(crate) mod parallax;
 mod placing;
 mod plain;
 pub mod samples;
@@ -26,7 +26,7 @@ mod shade;
 #[cfg(test)]
 mod soups;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod tile;
 mod visible;
 

@@ -5,7 +5,7 @@
 //! eye may be far away: they begin at the shape, which must be near what it shows.
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use fearless_simd::prelude::*;
 use glam::{Mat3, Vec2, Vec3, Vec4, Vec4Swizzles};

@@ -18,7 +18,7 @@ const ALL: Outputs =
     Outputs { color: true, depth: true, ids: true, normal: true, albedo: true, color8: true };
 
 /// Parallel view along -z from z = 10: x and y are pixels, x right, y down from the top left.
-fn pixel_view(width: u32, height: u32) -> View {
+pub(crate) fn pixel_view(width: u32, height: u32) -> View {
     let middle = DVec3::new(f64::from(width) / 2.0, -f64::from(height) / 2.0, 0.0);
     let projection = Projection::Orthographic { height: f64::from(height) };
     View::new(middle + DVec3::Z * 10.0, middle, DVec3::Y, projection, (width, height), 1e-3)
@@ -26,7 +26,7 @@ fn pixel_view(width: u32, height: u32) -> View {
 }
 
 /// White vertices at pixel coordinates (y down) and a height z towards the viewer.
-fn buffers(points: &[[f32; 3]], indices: &[u32]) -> Buffers {
+pub(crate) fn buffers(points: &[[f32; 3]], indices: &[u32]) -> Buffers {
     let count = points.len();
     Buffers {
         positions: points.iter().map(|p| Vec3::new(p[0], -p[1], p[2])).collect(),
@@ -40,7 +40,13 @@ fn buffers(points: &[[f32; 3]], indices: &[u32]) -> Buffers {
     }
 }
 
-fn add(list: &mut DrawList, view: &View, primitive: Primitive, data: Buffers, blend: Blend) {
+pub(crate) fn add(
+    list: &mut DrawList,
+    view: &View,
+    primitive: Primitive,
+    data: Buffers,
+    blend: Blend,
+) {
     let count = u32::try_from(data.indices.len() / primitive.index_count()).expect("few");
     let source = list.geometry(&Geometry::new(data));
     let instances = list.instance(Instance::new(&DAffine3::IDENTITY, view));
@@ -287,7 +293,7 @@ fn slabs_take_each_sample_once() {
 }
 
 /// Random triangles, cards, lines and points of all surfaces and blends, some behind the eye.
-fn soup(seed: u64, view: &View) -> DrawList {
+pub(crate) fn soup(seed: u64, view: &View) -> DrawList {
     let mut numbers = Numbers(seed);
     let mut list = DrawList::default();
     let mut texels = Vec::new();
@@ -445,7 +451,7 @@ fn coverage_takes_as_many_samples_as_alpha_asks_for() {
     assert!((mean - 0.75).abs() < 0.008, "{mean}");
 }
 
-fn soup_views() -> [View; 2] {
+pub(crate) fn soup_views() -> [View; 2] {
     let eye = DVec3::new(1.0, 2.0, 3.0);
     [Projection::Perspective { fov_y: FRAC_PI_3 }, Projection::Orthographic { height: 7.0 }]
         .map(|kind| View::new(eye, DVec3::ZERO, DVec3::Y, kind, (61, 47), 0.1).expect("valid"))

@@ -125,7 +125,7 @@ fn surface(list: &mut DrawList, frames: &Arc<Frames>, step_count: u32, filter: F
 }
 
 /// Windows of all kinds, and plain cards between them.
-fn list(seed: u64, view: &View) -> DrawList {
+pub(crate) fn list(seed: u64, view: &View) -> DrawList {
     let mut numbers = Numbers(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15));
     let mut list = DrawList::default();
     let pictures = [frames(&mut numbers, false), frames(&mut numbers, true)];
@@ -166,7 +166,7 @@ fn list(seed: u64, view: &View) -> DrawList {
     list
 }
 
-fn views() -> [View; 3] {
+pub(crate) fn views() -> [View; 3] {
     let eye = DVec3::new(1.0, 2.0, 3.0);
     let view = |eye: DVec3, kind: Projection| {
         View::new(eye, DVec3::ZERO, DVec3::Y, kind, (61, 47), 0.1).expect("valid")
