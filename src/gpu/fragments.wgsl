@@ -55,7 +55,10 @@ fn is_kept(pixel: vec2<u32>, number: u32, seed: u32, fade: f32) -> bool {
     hash ^= hash >> 15u;
     hash *= 0xC2B2AE35u;
     let random = f32((hash ^ (hash >> 16u)) >> 8u) * (1.0 / 16777216.0);
-    return select(random >= 1.0 + fade, random < fade, fade >= 0.0);
+    if fade >= 0.0 {
+        return random < fade;
+    }
+    return random >= 1.0 + fade;
 }
 #endif
 

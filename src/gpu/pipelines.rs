@@ -7,8 +7,8 @@ use wgpu::{
     BlendFactor, BlendOperation, BlendState, BufferBindingType, ColorTargetState, ColorWrites,
     CompareFunction, DepthStencilState, FragmentState, MultisampleState, PipelineLayout,
     PipelineLayoutDescriptor, PrimitiveState, RenderPipeline, RenderPipelineDescriptor,
-    SamplerBindingType, ShaderModuleDescriptor, ShaderSource, ShaderStages, TextureFormat,
-    TextureSampleType, TextureViewDimension, VertexState,
+    SamplerBindingType, ShaderModule, ShaderModuleDescriptor, ShaderSource, ShaderStages,
+    TextureFormat, TextureSampleType, TextureViewDimension, VertexState,
 };
 
 use crate::error::LodError;
@@ -170,6 +170,15 @@ impl Key {
     }
 }
 
+impl Key {
+    fn module(&self, gpu: &Gpu) -> ShaderModule {
+        gpu.device.create_shader_module(ShaderModuleDescriptor {
+            label: Some(&format!("{self:?}")),
+            source: ShaderSource::Wgsl(self.source().into()),
+        })
+    }
+}
+
 /// Layouts of what shapes read, and the pipelines made so far.
 #[derive(Debug)]
 pub(crate) struct Pipelines {
@@ -283,10 +292,7 @@ impl Pipelines {
 
     fn make(&self, gpu: &Gpu, key: Key) -> RenderPipeline {
         let label = format!("{key:?}");
-        let module = gpu.device.create_shader_module(ShaderModuleDescriptor {
-            label: Some(&label),
-            source: ShaderSource::Wgsl(key.source().into()),
-        });
+        let module = key.module(gpu);
         let targets = targets_of(gpu, &key);
         gpu.device.create_render_pipeline(&RenderPipelineDescriptor {
             label: Some(&label),
@@ -353,4 +359,72 @@ pub(crate) fn trimmed<T>(mut targets: Vec<Option<T>>) -> Vec<Option<T>> {
     let length = targets.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
     targets.truncate(length);
     targets
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::device;
+    use crate::job::Job;
+
+    /// All keys, but for those that differ in what shaders do not see.
+    fn keys() -> Vec<Key> {
+        let flags = [false, true];
+        let color = Targets { color: true, ..Targets::default() };
+        let all = Targets { albedo: true, normal: true, ids: true, ..color };
+        let pictures = [(color, false), (color, true), (all, false), (Targets::default(), false)];
+        let looks = [
+            Look::Vertex,
+            Look::Textured { trilinear: true },
+            Look::Indirect { trilinear: false },
+            Look::Parallax { trilinear: false, relit: false },
+            Look::Parallax { trilinear: true, relit: true },
+        ];
+        let shapes =
+            [Shapes::Indexed, Shapes::Triangles, Shapes::Cards, Shapes::Lines, Shapes::Points];
+        let mixings = [Mixing::Opaque, Mixing::Test, Mixing::Coverage, Mixing::Over];
+        let mut keys = Vec::new();
+        for (shapes, look) in shapes.into_iter().flat_map(|s| looks.map(|look| (s, look))) {
+            for (mixing, has_slab) in mixings.into_iter().flat_map(|m| flags.map(|f| (m, f))) {
+                for (is_dithered, (targets, four)) in
+                    flags.into_iter().flat_map(|d| pictures.map(|picture| (d, picture)))
+                {
+                    let search = None;
+                    let writes_depth = true;
+                    let key = Key {
+                        shapes,
+                        look,
+                        mixing,
+                        writes_depth,
+                        has_slab,
+                        is_dithered,
+                        targets,
+                        four,
+                        search,
+                    };
+                    keys.push(key);
+                    if mixing == Mixing::Over && !four {
+                        keys.extend([Search::Product, Search::Found].map(|s| key.searched(s)));
+                    }
+                }
+            }
+        }
+        keys
+    }
+
+    #[test]
+    fn every_key_has_a_shader() {
+        let shared = match device::renderer_of(None) {
+            Err(LodError::NoAdapter { .. }) if std::env::var_os("CI").is_none() => return,
+            found => found.expect("a card"),
+        };
+        let renderer = device::taken(&shared, &Job::default()).expect("nobody stops it");
+        let gpu = renderer.gpu();
+        let keys = keys();
+        assert!(keys.len() > 1000, "{} keys", keys.len());
+        for key in keys {
+            drop(key.module(gpu));
+            gpu.check().unwrap_or_else(|error| panic!("{key:?}: {error}"));
+        }
+    }
 }
