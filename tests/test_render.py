@@ -234,7 +234,7 @@ def test_a_plant_far_away_is_drawn_as_at_the_origin(plant):
         ({"outputs": ()}, "outputs"),
         ({"outputs": "color"}, "outputs"),
         ({"outputs": ("colour",)}, "outputs"),
-        ({"backend": "gpu"}, "backend"),
+        ({"backend": "metal"}, "backend"),
         ({"threads": 0}, "threads"),
         ({"threads": 10**6}, "threads"),
     ],

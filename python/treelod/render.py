@@ -2,8 +2,8 @@
 Draw a technique or a scene from a camera, and time it.
 
 A frame's time is what the core needs to emit a draw list and to draw it into warm memory: clear,
-transform, bin, raster, resolve. No Python, no metrics and no file is in it, and no upload of what frames
-share to a graphics card.
+transform, bin, raster, resolve. No Python, no metrics and no file is in it, and no upload of what
+frames share to a graphics card.
 """
 
 from __future__ import annotations
@@ -26,7 +26,16 @@ if TYPE_CHECKING:
     from treelod.cameras import Camera
     from treelod.techniques.technique import Technique
 
-__all__ = ["BACKENDS", "EMPTY_ID", "OUTPUTS", "Frame", "Stats", "ViewState", "render", "time_frames"]
+__all__ = [
+    "BACKENDS",
+    "EMPTY_ID",
+    "OUTPUTS",
+    "Frame",
+    "Stats",
+    "ViewState",
+    "render",
+    "time_frames",
+]
 
 EMPTY_ID = 0xFFFFFFFF
 """Value of `Frame.ids` where nothing is drawn."""

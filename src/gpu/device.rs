@@ -6,9 +6,9 @@
 //! refuses is kept and becomes an error of the call that caused it; a device that is lost is forgotten,
 //! so that the next call opens another.
 
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use wgpu::{
     Adapter, Backends, Device, DeviceDescriptor, DeviceType, ErrorFilter, Features, Instance,
@@ -32,6 +32,9 @@ const STORAGE_BUFFER_COUNT: u32 = 12;
 
 /// Of the memory that the driver says there is: more is refused where the driver itself would not.
 const MEMORY_PERCENT: u8 = 90;
+
+/// How long the end of a process waits for its devices.
+const LONGEST_END: Duration = Duration::from_secs(5);
 
 /// How long a wait for the device lasts before it looks whether somebody wants it to stop.
 const PATIENCE: Duration = Duration::from_millis(20);
@@ -245,6 +248,7 @@ impl Gpu {
     pub(crate) fn wait(&self, submission: &SubmissionIndex, job: &Job) -> Result<(), LodError> {
         loop {
             job.check()?;
+            check_open()?;
             let wait = PollType::Wait {
                 submission_index: Some(submission.clone()),
                 timeout: Some(PATIENCE),
@@ -263,6 +267,14 @@ impl Gpu {
     }
 }
 
+/// Refuses to go on when the process ends.
+fn check_open() -> Result<(), LodError> {
+    if CLOSES.load(Ordering::Acquire) {
+        return Err(LodError::Device { why: "is closed: the process ends".to_owned() });
+    }
+    Ok(())
+}
+
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -273,11 +285,13 @@ struct Registry {
     /// All there are, once somebody asked; the one that is taken where nobody chooses first.
     adapters: Vec<(AdapterFacts, Adapter)>,
     open: Vec<(AdapterFacts, Arc<Mutex<Renderer>>)>,
-    closed: bool,
 }
 
 static REGISTRY: Mutex<Registry> =
-    Mutex::new(Registry { instance: None, adapters: Vec::new(), open: Vec::new(), closed: false });
+    Mutex::new(Registry { instance: None, adapters: Vec::new(), open: Vec::new() });
+
+/// Set when the process ends: whoever still waits for a device must let go of it.
+static CLOSES: AtomicBool = AtomicBool::new(false);
 
 /// Process that used the registry first; 0 before that. Beside the lock, which a fork may leave locked.
 static OWNER: AtomicU32 = AtomicU32::new(0);
@@ -292,9 +306,7 @@ fn registry() -> Result<MutexGuard<'static, Registry>, LodError> {
 
 impl Registry {
     fn adapters(&mut self) -> Result<&[(AdapterFacts, Adapter)], LodError> {
-        if self.closed {
-            return Err(LodError::Device { why: "cannot be opened: the process ends".to_owned() });
-        }
+        check_open()?;
         if self.adapters.is_empty() {
             let instance = self.instance.get_or_insert_with(|| {
                 let mut descriptor = InstanceDescriptor::new_without_display_handle();
@@ -376,13 +388,27 @@ pub(crate) fn taken<'a>(
     }
 }
 
-/// Drops every device, if this process has any; none can be opened after that.
+/// Drops every device, if this process has any, once whoever draws has let go of it; none can be opened
+/// after that. A device that does not come to rest is left to the end of the process.
 pub fn close_all() {
-    if OWNER.load(Ordering::Acquire) == std::process::id() {
-        let mut registry = locked(&REGISTRY);
-        registry.closed = true;
-        registry.open.clear();
-        registry.adapters.clear();
-        registry.instance = None;
+    if OWNER.load(Ordering::Acquire) != std::process::id() {
+        return;
     }
+    CLOSES.store(true, Ordering::Release);
+    let mut registry = locked(&REGISTRY);
+    let deadline = Instant::now() + LONGEST_END;
+    for (_, renderer) in registry.open.drain(..) {
+        while Instant::now() < deadline {
+            if let Ok(renderer) = renderer.try_lock() {
+                // what was submitted goes on until it is done
+                let timeout = Some(deadline.saturating_duration_since(Instant::now()));
+                let wait = PollType::Wait { submission_index: None, timeout };
+                let _ = renderer.gpu().device.poll(wait);
+                break;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+    registry.adapters.clear();
+    registry.instance = None;
 }

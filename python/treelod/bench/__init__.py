@@ -43,6 +43,12 @@ def _collapse(*, repeats: int, small: bool) -> Iterator[Row]:
     yield from cuts.rows(repeats=repeats, small=small)
 
 
+def _gpu(*, repeats: int, small: bool) -> Iterator[Row]:
+    from treelod.bench.gpu import rows
+
+    return rows(repeats=repeats, small=small)
+
+
 def _splats(*, repeats: int, small: bool) -> Iterator[Row]:
     from treelod.bench.splats import rows
 
@@ -53,6 +59,7 @@ GROUPS: dict[str, Callable[..., Iterator[Row]]] = {
     "bake": _bake,
     "clusters": _clusters,
     "collapse": _collapse,
+    "gpu": _gpu,
     "raster": _raster,
     "splats": _splats,
 }
