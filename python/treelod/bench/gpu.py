@@ -2,7 +2,7 @@
 How fast does a graphics card draw each technique, and how like the processor?
 
 Run it on the machine whose card is in question: one command gives absolute figures with the card's
-name. The plant is the grown chestnut, which fills the picture's height; the scene is a wood of chestnuts.
+name. The plant is the grown chestnut, which fills the picture's height; the scene is a wood of it.
 Every technique has its default parameters. The processor draws the same lists in turns.
 """
 
