@@ -370,6 +370,16 @@ pub(crate) fn renderer_of(name: Option<&str>) -> Result<Arc<Mutex<Renderer>>, Lo
     Ok(renderer)
 }
 
+/// A renderer of the first adapter that nobody else draws with; `None` without an adapter.
+#[cfg(test)]
+pub(crate) fn renderer_of_its_own() -> Option<Renderer> {
+    let mut registry = registry().expect("not forked");
+    let adapters = registry.adapters().expect("open");
+    let (_, adapter) = adapters.first()?;
+    let gpu = Gpu::open(adapter).expect("it opens");
+    Some(Renderer::new(gpu).expect("a renderer"))
+}
+
 /// A renderer for one picture: waits for others to be done with it, unless somebody wants it to stop.
 ///
 /// # Errors

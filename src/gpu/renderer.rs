@@ -138,6 +138,11 @@ impl Renderer {
         &self.gpu
     }
 
+    #[cfg(test)]
+    pub(crate) fn resources(&self) -> &Resources {
+        &self.resources
+    }
+
     /// Draws a list and copies the picture out.
     ///
     /// # Errors

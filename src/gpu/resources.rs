@@ -262,6 +262,13 @@ impl Resources {
         Ok(())
     }
 
+    /// Geometries, textures, distributions and frames that are held.
+    #[cfg(test)]
+    pub(crate) fn held(&self) -> [usize; 4] {
+        let Self { geometries, textures, distributions, frames, .. } = self;
+        [geometries.len(), textures.len(), distributions.len(), frames.len()]
+    }
+
     fn shared_count(&self) -> usize {
         self.textures.len() + self.distributions.len() + self.frames.len()
     }

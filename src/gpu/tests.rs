@@ -3,6 +3,7 @@
 
 use glam::{DAffine3, Mat3, Vec3, Vec4};
 
+use super::device::renderer_of_its_own;
 use super::render;
 use crate::draw_list::{Blend, DrawList, Instance, Primitive, Surface};
 use crate::error::LodError;
@@ -231,6 +232,35 @@ fn what_differs_is_noticed() {
         let found = noticed(&change);
         assert!(found > 2.0 * RIM, "other {what}: {found}");
     }
+}
+
+#[test]
+fn what_lists_share_is_uploaded_once_and_kept_as_long_as_it_is_used() {
+    let Some(mut renderer) = renderer_of_its_own() else {
+        assert!(std::env::var_os("CI").is_none(), "a check of the whole project needs a card");
+        return;
+    };
+    let [view, _] = soup_views();
+    let (first, second) = (soup(0, &view), soup(1, &view));
+    let settings = settings(1, ALL);
+    let mut draw = |list: &DrawList| {
+        renderer.draw(list, &view, &settings, &Job::default()).expect("drawn");
+        let index_buffer = list
+            .items
+            .first()
+            .map(|item| renderer.resources().arrays(list, item.indices).index_buffer.clone());
+        (renderer.resources().held(), index_buffer)
+    };
+    let (held, buffer) = draw(&first);
+    assert_eq!(held, [30, 2, 1, 0], "30 items, two textures and a map");
+    assert_eq!(draw(&first), (held, buffer.clone()), "nothing new");
+    assert_eq!(draw(&first.clone()), (held, buffer.clone()), "another frame of the same");
+    assert_eq!(draw(&second).0, [60, 4, 2, 0], "both are in use");
+    assert_eq!(draw(&first), ([60, 4, 2, 0], buffer), "still there");
+    drop(first);
+    assert_eq!(draw(&second).0, held, "nobody uses the first any more");
+    drop(second);
+    assert_eq!(draw(&DrawList::default()).0, [0; 4], "nor the second");
 }
 
 #[test]
