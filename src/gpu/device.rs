@@ -222,11 +222,10 @@ impl Gpu {
                     usage: TextureUsages::RENDER_ATTACHMENT,
                     view_formats: &[],
                 };
-                let mut held = Vec::new();
-                for _ in 0..256 {
-                    held.push(self.allocating(|| self.device.create_texture(&descriptor))?);
-                }
-                Ok(())
+                let create = || self.device.create_texture(&descriptor);
+                let held: Result<Vec<_>, LodError> =
+                    (0..256).map(|_| self.allocating(create)).collect();
+                held.map(drop)
             }
             _ => {
                 // a size that no limit allows

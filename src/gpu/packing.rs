@@ -1,8 +1,9 @@
 //! From a draw list to what the shaders read of it, and to runs of items that are drawn in one go.
 
 use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
 
-use crate::draw_list::{Blend, DrawList, Item, Primitive, Source, Surface};
+use crate::draw_list::{Blend, Buffers, DrawList, Geometry, Item, Primitive, Source, Surface};
 use crate::error::{LodError, check_limit};
 use crate::gpu::pipelines::{Key, Look, Mixing, Shapes, Targets};
 use crate::texture::{Filter, Sampler};
@@ -90,7 +91,7 @@ impl Packed {
     pub(crate) fn new(list: &DrawList, targets: Targets, four: bool) -> Result<Self, LodError> {
         let mut packed = Self::default();
         packed.instances.extend(list.instances.iter().map(|instance| {
-            let axis = |axis: glam::Vec3, offset: f32| axis.extend(offset).to_array();
+            let axis = |axis: Vec3, offset: f32| axis.extend(offset).to_array();
             let [x, y, z] =
                 [instance.linear.x_axis, instance.linear.y_axis, instance.linear.z_axis];
             InstanceData {
@@ -266,16 +267,26 @@ fn look_of(list: &DrawList, surface: Surface) -> Look {
     }
 }
 
+/// Least and greatest coordinates of vertices; the first above the second where there are none.
+pub(crate) fn bounds_of(buffers: &Buffers) -> [Vec3; 2] {
+    let start = [Vec3::INFINITY, Vec3::NEG_INFINITY];
+    buffers.positions.iter().fold(start, |[low, high], &at| [low.min(at), high.max(at)])
+}
+
 /// A little more than the greatest depth that a list has in a parallel view, whose depths must lie
-/// between two numbers.
-pub(crate) fn greatest_depth(list: &DrawList, view: &View) -> f64 {
+/// between two numbers. `bounds` gives those of shared vertices.
+pub(crate) fn greatest_depth(
+    list: &DrawList,
+    view: &View,
+    bounds: impl Fn(&Geometry) -> [Vec3; 2],
+) -> f64 {
     let mut greatest = view.near * 2.0;
+    let own = bounds_of(&list.own.buffers);
     for item in &list.items {
-        let buffers = list.vertices_of(item);
-        let (mut low, mut high) = (glam::Vec3::INFINITY, glam::Vec3::NEG_INFINITY);
-        for &position in &buffers.positions {
-            (low, high) = (low.min(position), high.max(position));
-        }
+        let [mut low, mut high] = match item.vertices {
+            Source::Shared(index) => bounds(&list.geometries[index as usize]),
+            Source::Own => own,
+        };
         if let Surface::Parallax { frames, .. } = item.surface {
             let [least, most] = list.frames[frames as usize].parts().bounds;
             (low, high) = (low.min(least), high.max(most));

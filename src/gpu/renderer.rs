@@ -11,7 +11,7 @@ use wgpu::{
     RenderPassDescriptor, RenderPassTimestampWrites, StoreOp, SubmissionIndex, TextureView,
 };
 
-use crate::draw_list::{Blend, DrawList, Source};
+use crate::draw_list::{Blend, DrawList, Geometry, Source};
 use crate::error::{LodError, check_finite, check_limit};
 use crate::gpu::device::Gpu;
 use crate::gpu::packing::{Packed, Run, greatest_depth};
@@ -221,7 +221,9 @@ impl Renderer {
             self.resources.upload_own(&self.gpu, &self.pipelines, &list.own, job)?;
         }
         let frame = self.upload(&packed)?;
-        let far = if view.is_orthographic() { greatest_depth(list, view) } else { 0.0 };
+        let bounds = |geometry: &Geometry| self.resources.bounds(geometry);
+        let is_parallel = view.is_orthographic();
+        let far = if is_parallel { greatest_depth(list, view, bounds) } else { 0.0 };
         let picture = Picture { list, view, settings, packed: &packed, far, frame, job };
         let last = self.passes(&picture, &positions)?;
         self.gpu.wait(&last, job)?;
@@ -424,12 +426,10 @@ impl Renderer {
             self.submit(encoder, submitted, picture.job)?;
         }
         let mut encoder = self.encoder();
-        let ids = planes.shape.targets.ids.then(|| RenderPassColorAttachment {
-            view: &drawn.ids,
-            depth_slice: None,
-            resolve_target: None,
-            ops: Operations { load: LoadOp::Load, store: StoreOp::Store },
-        });
+        let mut ids = attachment(&drawn.ids, planes.shape.targets.ids, Color::BLACK);
+        if let Some(ids) = &mut ids {
+            ids.ops.load = LoadOp::Load;
+        }
         {
             let mut pass = encoder.begin_render_pass(&RenderPassDescriptor {
                 label: Some("what was found"),

@@ -5,10 +5,11 @@
 //! card's own filter does what filtering here means; that rounds a texel by at most 2^-12 of itself.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::{Arc, Weak};
 
 use bytemuck::{Pod, Zeroable};
-use glam::Vec2;
+use glam::{Vec2, Vec3};
 use half::f16;
 use wgpu::{
     AddressMode, BindGroup, BindGroupDescriptor, BindGroupEntry, BindGroupLayout, BindingResource,
@@ -20,7 +21,7 @@ use wgpu::{
 use crate::draw_list::{Buffers, DrawList, Geometry, OwnBuffers, Source};
 use crate::error::{LodError, check_limit};
 use crate::gpu::device::Gpu;
-use crate::gpu::packing::{PATTERN_QUADS, Reads};
+use crate::gpu::packing::{PATTERN_QUADS, Reads, bounds_of};
 use crate::gpu::pipelines::Pipelines;
 use crate::job::Job;
 use crate::texture::frames::Relit;
@@ -43,12 +44,28 @@ fn sweep<S, T>(cache: &mut Cache<S, T>) {
     cache.retain(|_, kept| kept.source.strong_count() > 0);
 }
 
+/// Uploads what is not there yet.
+fn keep<S, T>(
+    cache: &mut Cache<S, T>,
+    id: u64,
+    source: &Arc<S>,
+    upload: impl FnOnce() -> Result<T, LodError>,
+) -> Result<(), LodError> {
+    if let Entry::Vacant(entry) = cache.entry(id) {
+        let made = upload()?;
+        entry.insert(Kept { source: Arc::downgrade(source), made });
+    }
+    Ok(())
+}
+
 /// Vertex arrays and indices.
 #[derive(Debug)]
 pub(crate) struct Arrays {
     pub(crate) vertices: BindGroup,
     pub(crate) indices: BindGroup,
     pub(crate) index_buffer: Buffer,
+    /// Least and greatest coordinates of shared vertices.
+    bounds: [Vec3; 2],
 }
 
 /// What one surface reads, by how it reads it.
@@ -192,6 +209,7 @@ fn grouped(gpu: &Gpu, pipelines: &Pipelines, buffers: &[Buffer; 8]) -> Arrays {
         vertices: group(gpu, "vertices", &pipelines.vertices, &resources[..6]),
         indices: group(gpu, "indices", &pipelines.indices, &resources[6..]),
         index_buffer: buffers[6].clone(),
+        bounds: [Vec3::ZERO; 2],
     }
 }
 
@@ -234,30 +252,20 @@ impl Resources {
         if self.shared_count() < held {
             self.surfaces.clear();
         }
-        for geometry in &list.geometries {
-            if !self.geometries.contains_key(&geometry.id()) {
-                let made = uploaded(gpu, pipelines, geometry.buffers(), job)?;
-                let kept = Kept { source: Arc::downgrade(geometry), made };
-                self.geometries.insert(geometry.id(), kept);
-            }
+        for source in &list.geometries {
+            let upload = || uploaded(gpu, pipelines, source.buffers(), job);
+            keep(&mut self.geometries, source.id(), source, upload)?;
         }
-        for texture in &list.textures {
-            self.prepare_texture(gpu, texture, job)?;
+        let colors = list.frames.iter().map(|frames| &frames.parts().color);
+        for source in list.textures.iter().chain(colors) {
+            keep(&mut self.textures, source.id(), source, || color_texture(gpu, source, job))?;
         }
-        for distribution in &list.distributions {
-            if !self.distributions.contains_key(&distribution.id()) {
-                let made = distribution_buffers(gpu, distribution, job)?;
-                let kept = Kept { source: Arc::downgrade(distribution), made };
-                self.distributions.insert(distribution.id(), kept);
-            }
+        for source in &list.distributions {
+            let upload = || distribution_buffers(gpu, source, job);
+            keep(&mut self.distributions, source.id(), source, upload)?;
         }
-        for frames in &list.frames {
-            self.prepare_texture(gpu, &frames.parts().color, job)?;
-            if !self.frames.contains_key(&frames.id()) {
-                let made = frame_parts(gpu, frames, job)?;
-                let kept = Kept { source: Arc::downgrade(frames), made };
-                self.frames.insert(frames.id(), kept);
-            }
+        for source in &list.frames {
+            keep(&mut self.frames, source.id(), source, || frame_parts(gpu, source, job))?;
         }
         Ok(())
     }
@@ -271,20 +279,6 @@ impl Resources {
 
     fn shared_count(&self) -> usize {
         self.textures.len() + self.distributions.len() + self.frames.len()
-    }
-
-    fn prepare_texture(
-        &mut self,
-        gpu: &Gpu,
-        texture: &Arc<Texture>,
-        job: &Job,
-    ) -> Result<(), LodError> {
-        if !self.textures.contains_key(&texture.id()) {
-            let made = color_texture(gpu, texture, job)?;
-            let kept = Kept { source: Arc::downgrade(texture), made };
-            self.textures.insert(texture.id(), kept);
-        }
-        Ok(())
     }
 
     /// Uploads a frame's own arrays.
@@ -335,6 +329,11 @@ impl Resources {
             Source::Shared(index) => &self.geometries[&list.geometries[index as usize].id()].made,
             Source::Own => &self.own.as_ref().expect("uploaded before").arrays,
         }
+    }
+
+    /// Least and greatest coordinates of vertices that were prepared.
+    pub(crate) fn bounds(&self, geometry: &Geometry) -> [Vec3; 2] {
+        self.geometries[&geometry.id()].made.bounds
     }
 
     /// Makes the group of what a surface reads unless it is there.
@@ -453,7 +452,7 @@ fn uploaded(
         made.push(filled_buffer(gpu, label, usage_of(label), bytes, job)?);
     }
     let made: [Buffer; 8] = made.try_into().expect("eight arrays");
-    Ok(grouped(gpu, pipelines, &made))
+    Ok(Arrays { bounds: bounds_of(buffers), ..grouped(gpu, pipelines, &made) })
 }
 
 /// A texture whose levels are filled one after the other.

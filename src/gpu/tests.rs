@@ -69,13 +69,13 @@ fn differences(a: &Frame, b: &Frame) -> [(&'static str, f64); 6] {
         count as f64 / length as f64
     };
     let far = |a: Vec4, b: Vec4| (a - b).abs().max_element() > COLOR_TOLERANCE;
-    let deep = |a: f32, b: f32| a != b && !((a - b).abs() <= DEPTH_TOLERANCE * b.abs());
+    let near = |a: f32, b: f32| a == b || (a - b).abs() <= DEPTH_TOLERANCE * b.abs();
     let coded = |at: usize| a.color8[at].iter().zip(b.color8[at]).any(|(a, b)| a.abs_diff(b) > 2);
     let turned = |a: Vec3, b: Vec3| (a - b).abs().max_element() > NORMAL_TOLERANCE;
     [
         ("color", share(&|at| far(a.color[at], b.color[at]), !b.color.is_empty())),
         ("albedo", share(&|at| far(a.albedo[at], b.albedo[at]), !b.albedo.is_empty())),
-        ("depth", share(&|at| deep(a.depth[at], b.depth[at]), !b.depth.is_empty())),
+        ("depth", share(&|at| !near(a.depth[at], b.depth[at]), !b.depth.is_empty())),
         ("ids", share(&|at| a.ids[at] != b.ids[at], !b.ids.is_empty())),
         ("normal", share(&|at| turned(a.normal[at], b.normal[at]), !b.normal.is_empty())),
         ("color8", share(&|at| coded(at), !b.color8.is_empty())),
