@@ -665,7 +665,7 @@ def test_every_module_is_in_the_kernel_version_or_is_known_not_to_be():
     named = {file for pattern in MODULES for file in package.glob(pattern)}
     assert all([*package.glob(pattern)] for pattern in MODULES)
     apart = {
-        "__init__.py", "__main__.py", "cli", "errors.py", "export.py", "files.py",
+        "__init__.py", "__main__.py", "cli", "errors.py", "export.py", "files.py", "gpu.py",
         "kernel_version.py", "loading.py", "plants.py", "plots.py", "provenance.py", "terminal.py",
         "walks.py", "bench", "plant_files", "plots", "popping.py", "references", "report", "sweeps",
         "notebook.py", "testing.py",

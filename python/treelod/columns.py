@@ -177,7 +177,9 @@ def time_columns(
     """
     if frame_millis is None or base_millis is None:
         return dict.fromkeys(TIME_COLUMNS)
-    q25, median, q75 = np.quantile(frame_millis, [0.25, 0.5, 0.75])
+    q25, q75 = np.quantile(frame_millis, [0.25, 0.75])
+    # of an even number of frames a quantile rounds otherwise than a median, which the base is
+    median = np.median(frame_millis)
     return {
         "frame_millis": float(median),
         "frame_millis_q25": float(q25),

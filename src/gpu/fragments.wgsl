@@ -156,7 +156,8 @@ fn depth_of(z: f32) -> f32 {
         discard;
     }
 #else
-    if known == 0u || in.order != known {
+    // orders count from 1, and where nothing was found it is 0
+    if in.order != known {
         discard;
     }
 #endif
