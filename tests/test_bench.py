@@ -1,16 +1,21 @@
 """Do benchmarks give rows, and do all tools in them draw the same?"""
 
-import importlib.util
 import json
 import os
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import treelod
-from treelod.bench import GROUPS, Row, bake, interleaved
+from treelod import Camera, NoAdapterError, _core
+from treelod.bench import GROUPS, Row, bake, interleaved, splats
+from treelod.bench.llvmpipe import Llvmpipe
+from treelod.bench.subjects import COUNTS, Cloud, GrownMesh, Subject
 from treelod.cli import app
+from treelod.render import camera_facts
 
 KEYS = [
     "group",
@@ -74,51 +79,202 @@ def test_runs_take_turns_and_medians_ignore_the_warm_up():
         interleaved({"a": lambda: float("nan")}, repeats=1)
 
 
-def has_llvmpipe():
-    folders = [Path("/usr/share/vulkan/icd.d"), Path("/usr/local/share/vulkan/icd.d")]
-    drivers = [driver for folder in folders for driver in folder.glob("lvp_icd.*")]
-    return bool(drivers) and importlib.util.find_spec("wgpu") is not None
+def seen(*parts, camera=None):
+    from_front = Camera.perspective((0.0, 4.0, 20.0), (0.0, 4.0, 0.0), size=(80, 60))
+    return Subject(parts, camera_facts(camera or from_front))
 
 
-@pytest.mark.skipif(
-    not has_llvmpipe() and "CI" not in os.environ,
-    reason="llvmpipe is not installed (Debian has it in mesa-vulkan-drivers)",
+def small_parts():
+    # no edge of a point meets the middle of a pixel
+    at = np.array([[0.1, 1.1, 0], [2.3, 6.2, 0], [-3.1, 2, 1], [-2, 3.3, 1]], np.float32)
+    colors = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.2, 0.5, 0.7]], np.float32)
+    return (
+        GrownMesh(preset="chestnut", leaf_count=200, wood=False),
+        Cloud(positions=at, colors=colors, lines=False, size_px=3.0),
+        # nearer, so that no line lies in the depth of a point
+        Cloud(positions=at + np.float32([0, 0.4, 0.5]), colors=colors, lines=True, size_px=2.0),
+    )
+
+
+def other_pixels(a, b):
+    """Share of pixels whose colours differ by more than rounding makes them."""
+    return (np.abs(a - b).max(axis=-1) > 0.01).mean()
+
+
+def skipped_without_adapter(make):
+    """Skip where there is no llvmpipe; where CI is set, nothing may be missing."""
+    try:
+        with make():
+            pass
+    except NoAdapterError as missing:
+        if os.environ.get("CI") == "true":
+            raise
+        pytest.skip(f"needs llvmpipe (Debian has it in mesa-vulkan-drivers): {missing}")
+
+
+@pytest.fixture(scope="session")
+def needs_llvmpipe():
+    skipped_without_adapter(lambda: Llvmpipe(seen(*small_parts()), samples=1, threads=1))
+
+
+def test_tests_of_llvmpipe_are_skipped_without_one_and_fail_in_ci(monkeypatch):
+    def missing():
+        msg = "none"
+        raise NoAdapterError(msg)
+
+    def broken():
+        msg = "broken"
+        raise RuntimeError(msg)
+
+    monkeypatch.delenv("CI", raising=False)
+    with pytest.raises(pytest.skip.Exception, match="llvmpipe"):
+        skipped_without_adapter(missing)
+    with pytest.raises(RuntimeError, match="broken"):
+        skipped_without_adapter(broken)
+    monkeypatch.setenv("CI", "true")
+    with pytest.raises(NoAdapterError, match="none"):
+        skipped_without_adapter(missing)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        None,
+        Camera.orthographic((0.0, 4.0, 20.0), (0.0, 4.0, 0.0), height=9.0, size=(60, 80)),
+    ],
+    ids=["perspective", "orthographic"],
 )
+def test_a_stored_subject_draws_what_it_drew_before(tmp_path, camera):
+    before = seen(*small_parts(), camera=camera)
+    before.store(tmp_path / "subject.npz")
+    color, stats = before.picture(_core.Renderer(), samples=4)
+    loaded = Subject.load(tmp_path / "subject.npz")
+    again, again_stats = loaded.picture(_core.Renderer(), samples=4)
+    np.testing.assert_array_equal(again, color)
+    assert {name: again_stats[name] for name in COUNTS} == {name: stats[name] for name in COUNTS}
+    assert (stats["triangles"], stats["lines"], stats["points"]) == (2000, 2, 4)
+    # each part is seen: without it the picture is another one
+    for missing in range(3):
+        parts = small_parts()
+        fewer = seen(*parts[:missing], *parts[missing + 1 :], camera=camera)
+        assert (fewer.picture(_core.Renderer(), samples=4)[0] != color).any()
+
+
+@pytest.mark.usefixtures("needs_llvmpipe")
+@pytest.mark.parametrize("threads", [1, 2])
+def test_llvmpipe_draws_the_same_with_as_many_threads_as_it_is_told(threads):
+    subject = seen(*small_parts())
+    with Llvmpipe(subject, samples=1, threads=threads) as peer:
+        assert "llvmpipe" in peer.driver
+        assert 0.0 < peer.draw() < 60.0
+        ours, _ = subject.picture(_core.Renderer(), samples=1)
+        assert other_pixels(peer.picture(), ours) < 0.001
+        no_mesh, _ = seen(*small_parts()[1:]).picture(_core.Renderer(), samples=1)
+        assert other_pixels(no_mesh, ours) > 0.005, "what is missing is seen"
+        if sys.platform == "linux":
+            names = Path(f"/proc/{peer._process.pid}/task").glob("*/comm")
+            workers = [name for name in names if name.read_text().startswith("llvmpipe-")]
+            assert len(workers) == (0 if threads == 1 else threads)
+        folder = Path(peer._folder.name)
+        assert folder.is_dir()
+    assert not folder.exists()
+    assert peer._process.returncode == 0
+
+
+@pytest.mark.usefixtures("needs_llvmpipe")
+def test_a_process_that_draws_another_list_is_refused():
+    class Other(Subject):
+        def store(self, path):
+            seen(*small_parts()[:2]).store(path)
+
+    subject = Other(small_parts(), seen()._camera)
+    with pytest.raises(RuntimeError, match=r"llvmpipe was given .*'lines': 0.* not .*'lines': 2"):
+        Llvmpipe(subject, samples=1, threads=1)
+
+
+@pytest.mark.usefixtures("needs_llvmpipe")
+def test_a_process_that_has_died_says_so():
+    with Llvmpipe(seen(*small_parts()), samples=1, threads=1) as peer:
+        peer._process.kill()
+        peer._process.wait()
+        with pytest.raises(RuntimeError, match="llvmpipe ended with status -9"):
+            peer.draw()
+
+
+def test_a_process_that_fails_is_quoted():
+    class Broken(Subject):
+        def store(self, path):
+            path.write_bytes(b"no subject")
+
+    subject = Broken(small_parts(), seen()._camera)
+    with pytest.raises(RuntimeError, match=r"llvmpipe ended with status 1: \w+Error: .*pickle"):
+        Llvmpipe(subject, samples=1, threads=1)
+
+
+def test_a_machine_without_drivers_has_no_llvmpipe(monkeypatch):
+    # what Vulkan's loader looks at, by its old and its new name
+    monkeypatch.setenv("VK_ICD_FILENAMES", os.devnull)
+    monkeypatch.setenv("VK_DRIVER_FILES", os.devnull)
+    with pytest.raises(NoAdapterError, match="no graphics adapter"):
+        Llvmpipe(seen(*small_parts()), samples=1, threads=1)
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.usefixtures("needs_llvmpipe")
 def test_raster_rows_compare_the_same_picture(tmp_path):
     file = tmp_path / "rows.jsonl"
     command = ["bench", "raster", "--small", "--repeats", "1", "--output", str(file)]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.stderr
     rows = [json.loads(line) for line in file.read_text().splitlines()]
-    assert {row["peer"].split(" (")[0] for row in rows} == {
+    assert {row["peer"].split(" Mesa")[0] for row in rows} == {
         "llvmpipe",
         "ours, scalar",
         "the slow twin",
         "bound: a copy of the bytes touched",
     }
     compared = [row for row in rows if row["peer_error"] is not None]
-    assert len(compared) == 4, "at 1 and 4 samples, on 1 and 2 threads"
+    assert [row["aim"] for row in compared] == [8.0, 8.0, 4.0, 4.0, None, None]
+    assert [row["case"].split(", ", 3)[3] for row in compared] == [
+        f"samples={samples}, threads={threads}" for samples in (1, 4, 16) for threads in (1, 2)
+    ]
     for row in compared:
         assert row["peer_error"] == pytest.approx(row["ours_error"], rel=SAME_PICTURE)
+    # a picture with other samples is not the same
+    errors = [row["peer_error"] for row in compared]
+    assert errors[0] > (1.0 + SAME_PICTURE) * errors[2] > (1.0 + SAME_PICTURE) ** 2 * errors[4]
 
 
-@pytest.mark.skipif(
-    (not has_llvmpipe() or importlib.util.find_spec("vtk") is None) and "CI" not in os.environ,
-    reason="VTK and llvmpipe are not installed (treelod[bench], and mesa-vulkan-drivers on Debian)",
-)
+def test_pixels_of_one_alone_are_a_share_of_those_that_either_covers():
+    ours, theirs = np.array([0.5, 1.0, 0.0, 0.0]), np.array([3, 0, 255, 0], np.uint8)
+    assert splats._alone(ours, theirs) == 2 / 3
+    assert splats._alone(ours, ours) == 0.0
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.usefixtures("needs_llvmpipe")
 def test_splat_rows_compare_the_same_points(tmp_path):
     file = tmp_path / "rows.jsonl"
     command = ["bench", "splats", "--small", "--repeats", "1", "--output", str(file)]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.stderr
     rows = [json.loads(line) for line in file.read_text().splitlines()]
-    assert {row["peer"].split()[0] for row in rows} == {"VTK", "the", "ours,"}
-    compared = [row for row in rows if row["peer_error"] is not None]
+    assert {row["peer"].split()[0] for row in rows} == {"VTK", "llvmpipe", "the", "ours,"}
+    with_vtk = [row for row in rows if row["peer"].startswith("VTK")]
+    compared = [row for row in with_vtk if row["peer_error"] is not None]
     assert {row["case"].split()[1] for row in compared} == {"points", "lines"}
     for row in compared:
         # a point of a pixel covers one pixel of either; where it is on a border, another one
         limit = 0.02 if " points of" in row["case"] else 0.25
         assert row["peer_error"] < limit, row["case"]
+    with_llvmpipe = [row for row in rows if row["peer"].startswith("llvmpipe")]
+    kinds = [row["case"].split(" of")[0].split(",")[0] for row in with_llvmpipe]
+    assert kinds == ["10000 points"] * 2 + ["4000 lines"] * 2 + ["4600 triangles"] * 2
+    samples = ["samples=1" in row["case"] for row in with_llvmpipe]
+    assert samples == [True, False] * 3
+    for row in with_llvmpipe:
+        # the same lists by the same rules: what differs are borders, by rounding
+        assert row["peer_error"] < 0.002, row["case"]
 
 
 @pytest.mark.timeout(300)

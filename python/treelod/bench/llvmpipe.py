@@ -1,123 +1,101 @@
 """
-How fast does Mesa's llvmpipe draw the same triangles? The peer of the raster benchmark.
+How fast does Mesa's llvmpipe draw the same lists? The peer of the benchmarks of frames.
 
-It runs in a process of its own, because its number of threads is fixed when its first device is
-made. The process draws one frame for each line it is sent and answers with the seconds from
-submission to idle: clear, draw and resolve; no upload and no read-back.
+treelod's own GPU backend draws with it, in a process of its own, because llvmpipe's number of
+threads is fixed when its first device is made. The process builds the subject that it is given,
+draws a frame whenever it is asked to and answers with the seconds that the backend gives: emit,
+upload of what is the frame's own, commands, and drawing until llvmpipe is idle. What frames share
+was uploaded before, and nothing is read back.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import subprocess
 import sys
 import tempfile
 import threading
-import time
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
+
+from treelod import _core
+from treelod.bench.subjects import COUNTS, Subject
+from treelod.errors import NoAdapterError
 
 if TYPE_CHECKING:
     from types import TracebackType
 
     from numpy.typing import NDArray
 
-__all__ = ["MAX_SAMPLES", "Llvmpipe"]
+__all__ = ["ADAPTER", "Llvmpipe"]
 
-MAX_SAMPLES = 4
-"""llvmpipe renders to float pictures at 1 and at 4 samples."""
-
-_SHADER = """
-struct Camera { clip_from_local: mat4x4<f32> };
-@group(0) @binding(0) var<uniform> camera: Camera;
-struct Vertex {
-    @builtin(position) position: vec4<f32>,
-    @location(0) @interpolate(perspective, centroid) front: vec3<f32>,
-    @location(1) @interpolate(perspective, centroid) back: vec3<f32>,
-};
-@vertex fn place(
-    @location(0) position: vec3<f32>, @location(1) front: vec3<f32>, @location(2) back: vec3<f32>
-) -> Vertex {
-    return Vertex(camera.clip_from_local * vec4<f32>(position, 1.0), front, back);
-}
-@fragment fn color(vertex: Vertex, @builtin(front_facing) front: bool) -> @location(0) vec4<f32> {
-    return vec4<f32>(select(vertex.back, vertex.front, front), 1.0);
-}
-"""
+ADAPTER = "llvmpipe"
+"""A part of the name of the adapter."""
 
 _ANSWER_SECS = 120.0
-"""A process that has not answered by then hangs; frames take under a second."""
+"""A process that has not answered by then hangs; frames take a few seconds at most."""
 
 
 class Llvmpipe:
     """
-    A process that draws one list of triangles with llvmpipe.
+    A process that draws one subject with llvmpipe.
 
     Parameters
     ----------
-    positions, front, back : ndarray of shape (V, 3), dtype float32
-        Vertices, and their colours seen from either side.
-    triangles : ndarray of shape (T, 3), dtype uint32
-        Indices of vertices.
-    clip_from_local : ndarray of shape (4, 4), dtype float64
-        Projection with depth in [0, 1]; larger is nearer.
-    size : tuple of 2 ints
-        Width and height in pixels.
+    subject : Subject
+        What it draws.
     samples : int
-        1 or 4.
+        Samples a pixel, as in `treelod.render`.
     threads : int
-        Threads that rasterise; with 1 the thread that submits does it.
+        Threads that rasterise; with 1 llvmpipe has none besides the one that takes commands.
 
     Raises
     ------
-    ImportError
-        If the PyPI package ``wgpu`` is missing.
+    NoAdapterError
+        If there is no llvmpipe (Debian: ``mesa-vulkan-drivers``).
     RuntimeError
-        If there is no llvmpipe (Debian: ``mesa-vulkan-drivers``), or it fails.
+        If the process fails, or draws another list.
     """
 
-    def __init__(
-        self,
-        *,
-        positions: NDArray[np.float32],
-        front: NDArray[np.float32],
-        back: NDArray[np.float32],
-        triangles: NDArray[np.uint32],
-        clip_from_local: NDArray[np.float64],
-        size: tuple[int, int],
-        samples: int,
-        threads: int,
-    ) -> None:
-        try:
-            import wgpu  # noqa: F401
-        except ImportError as missing:
-            msg = "the raster benchmark needs wgpu: pip install 'treelod[bench]'"
-            raise ImportError(msg) from missing
+    def __init__(self, subject: Subject, *, samples: int, threads: int) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="treelod-llvmpipe-")
         scene = Path(self._folder.name) / "scene.npz"
-        vertices = np.concatenate([positions, front, back], axis=1, dtype=np.float32)
-        np.savez(
-            scene,
-            vertices=vertices,
-            triangles=np.ascontiguousarray(triangles, dtype=np.uint32),
-            clip_from_local=clip_from_local.astype(np.float32),
-            size=np.array(size),
-            samples=np.array(samples),
-        )
+        subject.store(scene)
         environment = {**os.environ, "LP_NUM_THREADS": str(threads if threads > 1 else 0)}
         # a file: a pipe that nobody empties can stop the process
         self._errors = (Path(self._folder.name) / "errors.txt").open("w+")
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "treelod.bench.llvmpipe", str(scene)],
+            [
+                sys.executable,
+                "-m",
+                "treelod.bench.llvmpipe",
+                str(scene),
+                str(samples),
+                str(threads),
+            ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
             stderr=self._errors,
             env=environment,
         )
-        self.adapter = self._answer()
+        try:
+            facts = self._answer()
+            if "no_adapter" in facts:
+                raise NoAdapterError(facts["no_adapter"])
+            self.driver: str = facts["driver"]
+            _, ours = subject.picture(_core.Renderer(), samples=1)
+            expected = {name: ours[name] for name in COUNTS}
+            if facts["counts"] != expected:
+                msg = f"llvmpipe was given {facts['counts']}, not {expected}"
+                raise RuntimeError(msg)
+        except BaseException:
+            self._close()
+            raise
 
     def __enter__(self) -> Llvmpipe:
         return self
@@ -128,32 +106,26 @@ class Llvmpipe:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._process.stdin and self._process.stdin.close()
-        try:
-            self._process.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._process.stdout and self._process.stdout.close()
-        self._errors.close()
-        self._folder.cleanup()
+        self._close()
 
     def draw(self) -> float:
         """Draw a frame and return the seconds it took."""
-        return float(self._ask("draw"))
+        return float(self._ask("draw")["secs"])
 
     def picture(self) -> NDArray[np.float32]:
         """Return what it draws: linear colour and coverage, shape (H, W, 4)."""
-        picture: NDArray[np.float32] = np.load(self._ask("picture"))
+        picture: NDArray[np.float32] = np.load(self._ask("picture")["file"])
         return picture
 
-    def _ask(self, what: str) -> str:
+    def _ask(self, what: str) -> dict[str, Any]:
         assert self._process.stdin is not None
-        self._process.stdin.write(what + "\n")
-        self._process.stdin.flush()
+        # if it has ended, its last words say why
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write(what + "\n")
+            self._process.stdin.flush()
         return self._answer()
 
-    def _answer(self) -> str:
+    def _answer(self) -> dict[str, Any]:
         assert self._process.stdout is not None
         limit = threading.Timer(_ANSWER_SECS, self._process.kill)
         limit.start()
@@ -167,137 +139,47 @@ class Llvmpipe:
             words = self._errors.read().strip().splitlines()[-1:]
             msg = f"llvmpipe ended with status {status}: {' '.join(words)}"
             raise RuntimeError(msg)
-        return line.strip()
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    def _close(self) -> None:
+        # a line that a dead process never read
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin and self._process.stdin.close()
+        try:
+            self._process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout and self._process.stdout.close()
+        self._errors.close()
+        self._folder.cleanup()
 
 
-def _device() -> tuple[Any, str]:
-    import wgpu
+def _serve(scene: Path, samples: int, threads: int, source: IO[str], target: IO[str]) -> None:
+    subject, renderer = Subject.load(scene), _core.Renderer()
 
-    for adapter in wgpu.gpu.enumerate_adapters_sync():
-        if adapter.info["backend_type"] == "Vulkan" and "llvmpipe" in adapter.info["device"]:
-            # four samples of floats are beyond what WebGPU promises
-            device = adapter.request_device_sync(
-                required_features=["texture-adapter-specific-format-features"]
-            )
-            return device, f"llvmpipe ({adapter.info['description']})"
-    msg = "no Vulkan adapter is llvmpipe (Debian has it in mesa-vulkan-drivers)"
-    raise RuntimeError(msg)
+    def answer(**facts: object) -> None:
+        print(json.dumps(facts), file=target, flush=True)
 
-
-def _serve(scene: str, source: IO[str], target: IO[str]) -> None:
-    import wgpu
-
-    facts = np.load(scene)
-    device, name = _device()
-    samples = int(facts["samples"])
-    width, height = (int(side) for side in facts["size"])
-    usage = wgpu.BufferUsage
-    vertices = device.create_buffer_with_data(
-        data=np.ascontiguousarray(facts["vertices"]), usage=usage.VERTEX
-    )
-    indices = device.create_buffer_with_data(
-        data=np.ascontiguousarray(facts["triangles"]), usage=usage.INDEX
-    )
-    # WGSL's matrices are stored by column
-    camera = device.create_buffer_with_data(
-        data=np.ascontiguousarray(facts["clip_from_local"].T), usage=usage.UNIFORM | usage.COPY_SRC
-    )
-    module = device.create_shader_module(code=_SHADER)
-    pipeline = device.create_render_pipeline(
-        layout="auto",
-        vertex={
-            "module": module,
-            "entry_point": "place",
-            "buffers": [
-                {
-                    "array_stride": 36,
-                    "step_mode": "vertex",
-                    "attributes": [
-                        {"format": "float32x3", "offset": 12 * slot, "shader_location": slot}
-                        for slot in range(3)
-                    ],
-                }
-            ],
-        },
-        primitive={"topology": "triangle-list", "front_face": "ccw", "cull_mode": "none"},
-        depth_stencil={
-            "format": "depth32float",
-            "depth_write_enabled": True,
-            "depth_compare": "greater",
-        },
-        multisample={"count": samples},
-        fragment={
-            "module": module,
-            "entry_point": "color",
-            "targets": [{"format": "rgba32float"}],
-        },
-    )
-    group = device.create_bind_group(
-        layout=pipeline.get_bind_group_layout(0),
-        entries=[{"binding": 0, "resource": {"buffer": camera, "offset": 0, "size": 64}}],
-    )
-
-    def texture(kind: str, count: int, usage: int) -> Any:
-        return device.create_texture(
-            size=(width, height, 1), format=kind, sample_count=count, usage=usage
-        )
-
-    attach = wgpu.TextureUsage.RENDER_ATTACHMENT
-    shown = texture("rgba32float", 1, attach | wgpu.TextureUsage.COPY_SRC)
-    many = texture("rgba32float", samples, attach) if samples > 1 else None
-    depth = texture("depth32float", samples, attach)
-
-    def draw() -> float:
-        encoder = device.create_command_encoder()
-        color: dict[str, Any] = {
-            "view": (many or shown).create_view(),
-            "clear_value": (0.0, 0.0, 0.0, 0.0),
-            "load_op": "clear",
-            "store_op": "store",
-        }
-        if many is not None:
-            color |= {"resolve_target": shown.create_view(), "store_op": "discard"}
-        render = encoder.begin_render_pass(
-            color_attachments=[color],
-            depth_stencil_attachment={
-                "view": depth.create_view(),
-                "depth_clear_value": 0.0,
-                "depth_load_op": "clear",
-                "depth_store_op": "discard",
-            },
-        )
-        render.set_pipeline(pipeline)
-        render.set_bind_group(0, group)
-        render.set_vertex_buffer(0, vertices)
-        render.set_index_buffer(indices, "uint32")
-        render.draw_indexed(facts["triangles"].size)
-        render.end()
-        commands = encoder.finish()
-        start = time.perf_counter()
-        device.queue.submit([commands])
-        # work is done in order, so a few bytes that come back say that the frame is finished;
-        # wgpu 0.32 cannot be asked for it directly
-        device.queue.read_buffer(camera)
-        return time.perf_counter() - start
-
-    def picture() -> Path:
-        draw()
-        row_bytes = width * 16
-        data = device.queue.read_texture(
-            {"texture": shown},
-            {"bytes_per_row": row_bytes, "rows_per_image": height},
-            (width, height, 1),
-        )
-        pixels = np.frombuffer(data, np.float32).reshape(height, width, 4)
-        path = Path(scene).with_name("picture.npy")
-        np.save(path, pixels)
-        return path
-
-    print(name, file=target, flush=True)
+    try:
+        _, stats = subject.picture(renderer, samples=1, backend="gpu", adapter=ADAPTER)
+    except NoAdapterError as missing:
+        answer(no_adapter=str(missing))
+        return
+    answer(driver=stats["driver"], counts={name: stats[name] for name in COUNTS})
     for line in source:
-        answer: Any = draw() if line.strip() == "draw" else picture()
-        print(answer, file=target, flush=True)
+        if line.strip() == "draw":
+            secs = subject.secs(
+                renderer, samples=samples, threads=threads, backend="gpu", adapter=ADAPTER
+            )
+            answer(secs=secs)
+        else:
+            color, _ = subject.picture(renderer, samples=samples, backend="gpu", adapter=ADAPTER)
+            file = scene.with_name("picture.npy")
+            np.save(file, color)
+            answer(file=str(file))
 
 
 if __name__ == "__main__":
-    _serve(sys.argv[1], sys.stdin, sys.stdout)
+    _serve(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), sys.stdin, sys.stdout)

@@ -1,8 +1,8 @@
 """
 How fast is a frame of a whole plant? The CPU rasteriser against its twins and against llvmpipe.
 
-The plant is the grown chestnut, which fills the picture's height. Every tool draws its 159,073
-triangles into float colour with a depth test: clear, transform, raster and resolve, in memory that
+The plant is the grown chestnut, which fills the picture's height. All draw the same list, 159,073
+triangles, into float colour with a depth test: clear, transform, raster and resolve, in memory that
 stays warm.
 """
 
@@ -17,19 +17,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from treelod import _core
-from treelod.bench.llvmpipe import MAX_SAMPLES, Llvmpipe
+from treelod.bench.llvmpipe import Llvmpipe
 from treelod.bench.rows import Row, interleaved
+from treelod.bench.subjects import GrownMesh, Subject
 from treelod.cameras import Camera
 from treelod.plants import grow_plant
 from treelod.references.checks import rmse
-from treelod.render import camera_facts, render
-from treelod.scenes import Scene
-from treelod.techniques import FullMesh
+from treelod.render import camera_facts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
 
     from treelod.plants import Plant
 
@@ -66,39 +63,34 @@ def rows(*, repeats: int, small: bool) -> Iterator[Row]:
 
     Raises
     ------
-    ImportError, RuntimeError
-        If llvmpipe is not there.
+    NoAdapterError, RuntimeError
+        If llvmpipe is not there, or fails.
     """
-    plant = grow_plant("chestnut", leaf_count=500 if small else None)
+    chestnut = GrownMesh(preset="chestnut", leaf_count=500 if small else None)
+    plant = grow_plant(chestnut.preset, leaf_count=chestnut.leaf_count)
     size = (128, 96) if small else SIZE
     name = f"chestnut, {plant.triangle_count} triangles"
-    mesh = FullMesh.build(plant)
     best, scalar = _core.Renderer(), _core.Renderer(simd="scalar")
-    scene = Scene([(mesh, None)])
-    camera = filling_camera(plant, size)
-    reference = _color(render(mesh, camera, samples=REFERENCE_SAMPLES).color)
+    subject = Subject([chestnut], camera_facts(filling_camera(plant, size)))
+    reference, _ = subject.picture(best, samples=REFERENCE_SAMPLES)
     for samples in (1, 4, 16):
-        ours_error = rmse(_color(render(mesh, camera, samples=samples).color), reference)
+        ours_error = rmse(subject.picture(best, samples=samples)[0], reference)
         for threads in THREADS:
             case = f"{name}, {size[0]}x{size[1]}, samples={samples}, threads={threads}"
+            draw = partial(subject.secs, samples=samples, threads=threads)
             with ExitStack() as stack:
-                peer = stack.enter_context(
-                    _llvmpipe(plant, camera, min(samples, MAX_SAMPLES), threads)
-                )
-                draws = -(-samples // MAX_SAMPLES)
+                peer = stack.enter_context(Llvmpipe(subject, samples=samples, threads=threads))
                 runs: dict[str, Callable[[], float]] = {
-                    "ours": partial(_draw, best, scene, camera, samples, threads),
-                    "scalar": partial(_draw, scalar, scene, camera, samples, threads),
-                    "llvmpipe": partial(_draws, peer, draws),
+                    "ours": partial(draw, best),
+                    "scalar": partial(draw, scalar),
+                    "llvmpipe": peer.draw,
                     "copy": _copy(bytes_touched(plant, size), threads, stack),
                 }
                 secs = interleaved(runs, repeats=repeats, warmup=2)
-                # more samples than it knows are several pictures of it, which nothing here averages
-                peer_error = rmse(peer.picture(), reference) if draws == 1 else None
-            label = peer.adapter if draws == 1 else f"{peer.adapter}, {draws} draws of 4 samples"
+                peer_error = rmse(peer.picture(), reference)
             row = partial(Row, group="raster", case=case, ours_secs=secs["ours"])
             yield row(
-                peer=label,
+                peer=peer.driver,
                 peer_secs=secs["llvmpipe"],
                 ours_error=ours_error,
                 peer_error=peer_error,
@@ -107,7 +99,8 @@ def rows(*, repeats: int, small: bool) -> Iterator[Row]:
             )
             yield row(peer="ours, scalar", peer_secs=secs["scalar"])
             yield row(peer="bound: a copy of the bytes touched", peer_secs=secs["copy"])
-    yield _twin_row(scene, filling_camera(plant, TWIN_SIZE), name, repeats)
+    near = Subject([chestnut], camera_facts(filling_camera(plant, TWIN_SIZE)))
+    yield _twin_row(near, name, repeats)
 
 
 def filling_camera(plant: Plant, size: tuple[int, int]) -> Camera:
@@ -173,29 +166,13 @@ def _copy(byte_count: int, threads: int, stack: ExitStack) -> Callable[[], float
     return run
 
 
-def _draw(
-    renderer: _core.Renderer, scene: Scene, camera: Camera, samples: int, threads: int
-) -> float:
-    facts = camera_facts(camera)
-    stats = renderer.time(scene._core, facts, samples=samples, threads=threads)
-    return float(stats["emit_millis"] + stats["draw_millis"]) / 1e3
-
-
-def _draws(peer: Llvmpipe, count: int) -> float:
-    return sum(peer.draw() for _ in range(count))
-
-
-def _twin_row(scene: Scene, camera: Camera, name: str, repeats: int) -> Row:
-    facts = camera_facts(camera)
-
-    def twin() -> float:
-        return _core.time_naive(scene._core, facts, samples=1)
-
-    secs = interleaved(
-        {"ours": partial(_draw, _core.Renderer(), scene, camera, 1, 1), "twin": twin},
-        repeats=min(repeats, 3),
-    )
-    case = f"{name}, {camera.size[0]}x{camera.size[1]}, samples=1, threads=1"
+def _twin_row(subject: Subject, name: str, repeats: int) -> Row:
+    runs: dict[str, Callable[[], float]] = {
+        "ours": partial(subject.secs, _core.Renderer(), samples=1, threads=1),
+        "twin": subject.naive_secs,
+    }
+    secs = interleaved(runs, repeats=min(repeats, 3))
+    case = f"{name}, {TWIN_SIZE[0]}x{TWIN_SIZE[1]}, samples=1, threads=1"
     return Row(
         group="raster",
         case=case,
@@ -203,48 +180,3 @@ def _twin_row(scene: Scene, camera: Camera, name: str, repeats: int) -> Row:
         peer="the slow twin",
         peer_secs=secs["twin"],
     )
-
-
-def _llvmpipe(plant: Plant, camera: Camera, samples: int, threads: int) -> Llvmpipe:
-    wood, leaves = plant.wood, plant.foliage.mesh
-    return Llvmpipe(
-        positions=np.concatenate([wood.positions, leaves.positions]),
-        front=np.concatenate([wood.front, leaves.front]),
-        back=np.concatenate([wood.back, leaves.back]),
-        triangles=np.concatenate([wood.triangles, leaves.triangles + len(wood.positions)]),
-        clip_from_local=_clip_from_world(camera) @ _translation(plant.origin),
-        size=camera.size,
-        samples=samples,
-        threads=threads,
-    )
-
-
-def _translation(offset: NDArray[np.float64]) -> NDArray[np.float64]:
-    matrix = np.eye(4)
-    matrix[:3, 3] = offset
-    return matrix
-
-
-def _clip_from_world(camera: Camera) -> NDArray[np.float64]:
-    """Clip space with depth near / z, which keeps its precision far away and has no far plane."""
-    view = np.eye(4)
-    view[:3, :3] = camera.view_rotation()
-    view[:3, 3] = -camera.view_rotation() @ np.asarray(camera.eye)
-    assert camera.fov_y_deg is not None
-    scale = 1.0 / np.tan(np.deg2rad(camera.fov_y_deg) / 2.0)
-    width, height = camera.size
-    clip = np.array(
-        [
-            [scale * height / width, 0.0, 0.0, 0.0],
-            [0.0, scale, 0.0, 0.0],
-            [0.0, 0.0, 0.0, camera.near],
-            [0.0, 0.0, -1.0, 0.0],
-        ]
-    )
-    product: NDArray[np.float64] = clip @ view
-    return product
-
-
-def _color(color: NDArray[np.float32] | None) -> NDArray[np.float32]:
-    assert color is not None
-    return color

@@ -1,23 +1,26 @@
 """
-How fast are points and lines? The CPU rasteriser against its slow twin and against VTK.
+How fast are points and lines? The CPU rasteriser against its slow twin, llvmpipe and VTK.
 
 Everyone draws the same points, those of a grown chestnut, and the same lines, a grown pine's
-needles, in flat colours with a depth test at 795 x 700, the size of the paper's pictures. VTK draws
-with Mesa's llvmpipe, on the same processor and with as many threads; its data are uploaded before.
-With one sample a pixel the pictures are compared: the share of covered pixels that only one of them
-covers.
+needles, in flat colours with a depth test at 795 x 700, the size of the paper's pictures. llvmpipe
+is given the same lists by treelod's GPU backend. VTK draws with llvmpipe, too, in its own ways; its
+data are uploaded before. All use the same processor and as many threads. Pictures are compared: the
+share of covered pixels that only one of them covers.
 """
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from treelod import _core
+from treelod.bench.llvmpipe import Llvmpipe
 from treelod.bench.raster import filling_camera
 from treelod.bench.rows import Row, interleaved
+from treelod.bench.subjects import Cloud, GrownMesh, Subject
 from treelod.bench.vtk_points import VtkCloud
 from treelod.plants import grow_plant
 from treelod.provenance import core_count
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from treelod.cameras import Camera
+    from treelod.plants import Plant
 
 __all__ = ["rows"]
 
@@ -51,6 +55,9 @@ MIX = (460_000, 400_000, 300_000)
 """Triangles, lines and points of the paper's landscape, a frame."""
 
 
+ERROR_KIND = "covered pixels that one covers alone"
+
+
 def rows(*, repeats: int, small: bool) -> Iterator[Row]:
     """
     Measure, case by case.
@@ -68,8 +75,8 @@ def rows(*, repeats: int, small: bool) -> Iterator[Row]:
 
     Raises
     ------
-    ImportError, RuntimeError
-        If VTK is not there, or does not draw on the processor.
+    NoAdapterError, ImportError, RuntimeError
+        If llvmpipe or VTK is not there, or VTK does not draw on the processor.
     """
     share = 100 if small else 1
     size = (80, 70) if small else SIZE
@@ -80,132 +87,139 @@ def rows(*, repeats: int, small: bool) -> Iterator[Row]:
     threads = core_count()
     renderer = _core.Renderer()
     for kind, (positions, colors), plant in (("points", points, tree), ("lines", needles, pine)):
-        lines = kind == "lines"
-        count = len(positions) // (2 if lines else 1)
+        whole = partial(Cloud, positions=positions, colors=colors, lines=kind == "lines")
         camera = filling_camera(plant, size)
         for size_px in SIZES_PX[:1] if small else SIZES_PX:
-            scene = _scene(_core.cloud(positions, colors, lines=lines, size_px=size_px))
+            cloud = whole(size_px=size_px)
             for samples in (1, 4):
-                case = f"{count} {kind} of {size_px:g} px, {size[0]}x{size[1]}, samples={samples}"
-                with VtkCloud(
-                    positions, colors, lines=lines, size_px=size_px, camera=camera, samples=samples
-                ) as peer:
-                    runs: dict[str, Callable[[], float | None]] = {
-                        "ours": partial(_time, renderer, scene, camera, samples, threads),
-                        "ours, one thread": partial(_time, renderer, scene, camera, samples, 1),
-                        "vtk": peer.draw,
-                    }
-                    secs = interleaved(runs, repeats=repeats, warmup=2)
-                    label = f"VTK {peer.version}, {peer.adapter}"
-                    alone = _alone(renderer, scene, camera, peer) if samples == 1 else None
-                row = partial(Row, group="splats")
-                yield row(
-                    case=f"{case}, threads={threads}",
-                    ours_secs=secs["ours"],
-                    peer=label,
-                    peer_secs=secs["vtk"],
-                    peer_error=alone,
-                    error_kind="" if alone is None else "covered pixels that one covers alone",
-                    aim=AIM,
-                )
-                yield row(
-                    case=f"{case}, threads=1 against {threads}",
-                    ours_secs=secs["ours, one thread"],
-                    peer=label,
-                    peer_secs=secs["vtk"],
-                )
-        yield _twin_row(kind, positions, colors, filling_camera(plant, TWIN_SIZE), repeats)
-    yield _mixed_row(points, needles, filling_camera(tree, size), repeats, share, threads)
+                yield from _rows_of(renderer, cloud, camera, samples, threads, repeats)
+        yield _twin_row(whole(size_px=1.0), filling_camera(plant, TWIN_SIZE), repeats)
+    for samples in (1, 4):
+        camera = filling_camera(tree, size)
+        yield from _mixed_rows(points, needles, camera, samples, repeats, share, threads)
 
 
-def _samples(plant: object, kind: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _rows_of(
+    renderer: _core.Renderer,
+    cloud: Cloud,
+    camera: Camera,
+    samples: int,
+    threads: int,
+    repeats: int,
+) -> Iterator[Row]:
+    """Time one cloud beside llvmpipe and VTK."""
+    subject = Subject([cloud], camera_facts(camera))
+    draw = partial(subject.secs, renderer, samples=samples)
+    with ExitStack() as stack:
+        vtk = stack.enter_context(VtkCloud(cloud, camera=camera, samples=samples))
+        card = stack.enter_context(Llvmpipe(subject, samples=samples, threads=threads))
+        runs: dict[str, Callable[[], float | None]] = {
+            "ours": partial(draw, threads=threads),
+            "ours, one thread": partial(draw, threads=1),
+            "llvmpipe": card.draw,
+            "vtk": vtk.draw,
+        }
+        secs = interleaved(runs, repeats=repeats, warmup=2)
+        ours, _ = subject.picture(renderer, samples=samples)
+        card_alone = _alone(ours[..., 3], card.picture()[..., 3])
+        # VTK's picture has no coverage, and 8 bits
+        vtk_alone = _alone(ours[..., 3], vtk.picture().max(axis=-1)) if samples == 1 else None
+    case = f"{_name(cloud)}, {camera.size[0]}x{camera.size[1]}, samples={samples}"
+    row = partial(Row, group="splats", case=f"{case}, threads={threads}", ours_secs=secs["ours"])
+    yield row(
+        peer=card.driver,
+        peer_secs=secs["llvmpipe"],
+        peer_error=card_alone,
+        error_kind=ERROR_KIND,
+    )
+    label = f"VTK {vtk.version}, {vtk.adapter}"
+    yield row(
+        peer=label,
+        peer_secs=secs["vtk"],
+        peer_error=vtk_alone,
+        error_kind="" if vtk_alone is None else ERROR_KIND,
+        aim=AIM,
+    )
+    yield Row(
+        group="splats",
+        case=f"{case}, threads=1 against {threads}",
+        ours_secs=secs["ours, one thread"],
+        peer=label,
+        peer_secs=secs["vtk"],
+    )
+
+
+def _name(cloud: Cloud) -> str:
+    return f"{cloud.count} {'lines' if cloud.lines else 'points'} of {cloud.size_px:g} px"
+
+
+def _samples(plant: Plant, kind: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Positions and colours of a plant's points (0) or lines (1)."""
-    lod = PointsAndLines.build(plant, wood=False, octree_depth=0)  # type: ignore[arg-type]
+    lod = PointsAndLines.build(plant, wood=False, octree_depth=0)
     return lod._samples.samples[kind]
 
 
-def _scene(*groups: _core.Representation) -> _core.Scene:
-    return _core.Scene([(group, np.eye(4)[np.newaxis]) for group in groups])
+def _alone(ours: NDArray[np.generic], theirs: NDArray[np.generic]) -> float:
+    """Of the pixels that either covers, the share that the other leaves empty."""
+    one, other = ours != 0, theirs != 0
+    return float(np.logical_xor(one, other).sum() / np.logical_or(one, other).sum())
 
 
-def _time(
-    renderer: _core.Renderer, scene: _core.Scene, camera: Camera, samples: int, threads: int
-) -> float:
-    stats = renderer.time(scene, camera_facts(camera), samples=samples, threads=threads)
-    return float(stats["emit_millis"] + stats["draw_millis"]) / 1e3
-
-
-def _alone(renderer: _core.Renderer, scene: _core.Scene, camera: Camera, peer: VtkCloud) -> float:
-    planes, _ = renderer.render(
-        scene,
-        camera_facts(camera),
-        samples=1,
-        background=(0.0, 0.0, 0.0, 0.0),
-        outputs=("color",),
-        threads=None,
-    )
-    ours = planes["color"][..., 3] > 0
-    theirs = peer.picture().any(axis=-1)
-    return float((ours ^ theirs).sum() / (ours | theirs).sum())
-
-
-def _twin_row(
-    kind: str,
-    positions: NDArray[np.float32],
-    colors: NDArray[np.float32],
-    camera: Camera,
-    repeats: int,
-) -> Row:
-    scene = _scene(_core.cloud(positions, colors, lines=kind == "lines", size_px=1.0))
+def _twin_row(cloud: Cloud, camera: Camera, repeats: int) -> Row:
+    subject = Subject([cloud], camera_facts(camera))
     runs: dict[str, Callable[[], float | None]] = {
-        "ours": partial(_time, _core.Renderer(), scene, camera, 1, 1),
-        "twin": lambda: _core.time_naive(scene, camera_facts(camera), samples=1),
+        "ours": partial(subject.secs, _core.Renderer(), samples=1, threads=1),
+        "twin": subject.naive_secs,
     }
     secs = interleaved(runs, repeats=min(repeats, 2))
-    count = len(positions) // (2 if kind == "lines" else 1)
     return Row(
         group="splats",
-        case=f"{count} {kind} of 1 px, {camera.size[0]}x{camera.size[1]}, samples=1, threads=1",
+        case=f"{_name(cloud)}, {camera.size[0]}x{camera.size[1]}, samples=1, threads=1",
         ours_secs=secs["ours"],
         peer="the slow twin",
         peer_secs=secs["twin"],
     )
 
 
-def _mixed_row(
+def _mixed_rows(
     points: tuple[NDArray[np.float32], NDArray[np.float32]],
     needles: tuple[NDArray[np.float32], NDArray[np.float32]],
     camera: Camera,
+    samples: int,
     repeats: int,
     share: int,
     threads: int,
-) -> Row:
+) -> Iterator[Row]:
     """Time a frame of the paper's landscape: triangles, lines and points together."""
     triangle_count, line_count, point_count = (count // share for count in MIX)
-    mesh = grow_plant("chestnut", leaf_count=triangle_count // 10)
-    leaves = _core.full_mesh(mesh._core, wood=False, wood_triangle_count=None, filter="bilinear")
     sparse = [np.ascontiguousarray(part[:point_count]) for part in points]
     thin = [np.ascontiguousarray(part[: 2 * line_count]) for part in needles]
-    scene = _scene(
-        leaves,
-        _core.cloud(thin[0], thin[1], lines=True, size_px=1.0),
-        _core.cloud(sparse[0], sparse[1], lines=False, size_px=1.0),
+    parts = (
+        GrownMesh(preset="chestnut", leaf_count=triangle_count // 10, wood=False),
+        Cloud(positions=thin[0], colors=thin[1], lines=True, size_px=1.0),
+        Cloud(positions=sparse[0], colors=sparse[1], lines=False, size_px=1.0),
     )
-    renderer = _core.Renderer()
-    scalar = _core.Renderer(simd="scalar")
-    runs = {
-        "ours": partial(_time, renderer, scene, camera, 1, threads),
-        "scalar": partial(_time, scalar, scene, camera, 1, threads),
-    }
-    secs = interleaved(runs, repeats=repeats)
+    subject = Subject(parts, camera_facts(camera))
+    best, scalar = _core.Renderer(), _core.Renderer(simd="scalar")
+    draw = partial(subject.secs, samples=samples, threads=threads)
+    with Llvmpipe(subject, samples=samples, threads=threads) as card:
+        runs: dict[str, Callable[[], float | None]] = {
+            "ours": partial(draw, best),
+            "scalar": partial(draw, scalar),
+            "llvmpipe": card.draw,
+        }
+        secs = interleaved(runs, repeats=repeats)
+        ours, _ = subject.picture(best, samples=samples)
+        alone = _alone(ours[..., 3], card.picture()[..., 3])
     case = (
         f"{triangle_count} triangles, {line_count} lines, {point_count} points of 1 px, "
-        f"{camera.size[0]}x{camera.size[1]}, samples=1, threads={threads}"
+        f"{camera.size[0]}x{camera.size[1]}, samples={samples}, threads={threads}"
     )
-    return Row(
-        group="splats",
-        case=case,
-        ours_secs=secs["ours"],
-        peer="ours, scalar",
-        peer_secs=secs["scalar"],
+    row = partial(Row, group="splats", case=case, ours_secs=secs["ours"])
+    yield row(
+        peer=card.driver,
+        peer_secs=secs["llvmpipe"],
+        peer_error=alone,
+        error_kind=ERROR_KIND,
     )
+    yield row(peer="ours, scalar", peer_secs=secs["scalar"])

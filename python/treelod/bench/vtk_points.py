@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from treelod.bench.subjects import Cloud
     from treelod.cameras import Camera
 
 __all__ = ["VtkCloud"]
@@ -23,14 +24,8 @@ class VtkCloud:
 
     Parameters
     ----------
-    positions : ndarray of shape (N, 3), dtype float32
-        World positions in metres; of lines, both ends of each.
-    colors : ndarray of shape (N, 3), dtype float32
-        Linear colours in [0, 1].
-    lines : bool
-        Whether every two positions are a line.
-    size_px : float
-        Side of a point or width of a line.
+    cloud : Cloud
+        What it shows.
     camera : Camera
         A perspective camera.
     samples : int
@@ -44,16 +39,7 @@ class VtkCloud:
         If VTK finds no OpenGL that draws on the processor: its times would say nothing about it.
     """
 
-    def __init__(
-        self,
-        positions: NDArray[np.float32],
-        colors: NDArray[np.float32],
-        *,
-        lines: bool,
-        size_px: float,
-        camera: Camera,
-        samples: int = 1,
-    ) -> None:
+    def __init__(self, cloud: Cloud, *, camera: Camera, samples: int = 1) -> None:
         try:
             import vtk
             from vtk.util import numpy_support
@@ -62,16 +48,17 @@ class VtkCloud:
             raise ImportError(msg) from error
         # it first looks for an X server and warns that there is none
         vtk.vtkLogger.SetStderrVerbosity(vtk.vtkLogger.VERBOSITY_OFF)
-        self._kept = [positions, (np.clip(colors, 0, 1) * 255 + 0.5).astype(np.uint8)]
+        colors = (np.clip(cloud.colors, 0, 1) * 255 + 0.5).astype(np.uint8)
+        self._kept = [cloud.positions, colors]
         points = vtk.vtkPoints()
         points.SetData(numpy_support.numpy_to_vtk(self._kept[0]))
         cells = vtk.vtkCellArray()
-        ids = np.arange(len(positions), dtype=np.int64)
+        ids = np.arange(len(cloud.positions), dtype=np.int64)
         self._kept.append(ids)
-        cells.SetData(2 if lines else 1, numpy_support.numpy_to_vtkIdTypeArray(ids))
+        cells.SetData(2 if cloud.lines else 1, numpy_support.numpy_to_vtkIdTypeArray(ids))
         data = vtk.vtkPolyData()
         data.SetPoints(points)
-        (data.SetLines if lines else data.SetVerts)(cells)
+        (data.SetLines if cloud.lines else data.SetVerts)(cells)
         data.GetPointData().SetScalars(numpy_support.numpy_to_vtk(self._kept[1]))
         mapper = vtk.vtkPolyDataMapper()
         mapper.SetInputData(data)
@@ -79,8 +66,8 @@ class VtkCloud:
         actor.SetMapper(mapper)
         look = actor.GetProperty()
         look.LightingOff()
-        look.SetPointSize(size_px)
-        look.SetLineWidth(size_px)
+        look.SetPointSize(cloud.size_px)
+        look.SetLineWidth(cloud.size_px)
         self._renderer = vtk.vtkRenderer()
         self._renderer.AddActor(actor)
         self._window = vtk.vtkRenderWindow()
