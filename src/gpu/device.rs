@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use wgpu::{
     Adapter, Backends, Device, DeviceDescriptor, DeviceType, ErrorFilter, Features, Instance,
     InstanceDescriptor, InstanceFlags, Limits, PollType, Queue, SubmissionIndex, TextureFormat,
-    TextureUsages,
+    TextureFormatFeatureFlags, TextureUsages,
 };
 
 use crate::error::LodError;
@@ -93,6 +93,8 @@ pub(crate) struct Gpu {
     pub(crate) product_format: TextureFormat,
     /// Whether four samples of the colour format can be drawn at once.
     pub(crate) has_four_samples: bool,
+    /// Whether the card itself takes the mean of those.
+    pub(crate) resolves: bool,
     /// Why it is of no more use.
     lost: Arc<Mutex<Option<String>>>,
     /// What it refused.
@@ -143,6 +145,7 @@ impl Gpu {
             && drawn.allowed_usages.contains(TextureUsages::RENDER_ATTACHMENT)
             && (!blends_floats
                 || features.contains(Features::TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES));
+        let resolves = drawn.flags.contains(TextureFormatFeatureFlags::MULTISAMPLE_RESOLVE);
         Ok(Self {
             device,
             queue,
@@ -151,6 +154,7 @@ impl Gpu {
             color_format,
             product_format,
             has_four_samples,
+            resolves,
             lost,
             refused,
         })

@@ -101,8 +101,8 @@ fn depth_of(z: f32) -> f32 {
 #endif
 {
     let in = corrected(corner);
-    let tint = instances[in.what.y].tint;
 #if PARALLAX
+    let tint = instances[in.what.y].tint;
     let seen = look(in);
     let alpha = seen.alpha * tint.w;
     let z = seen.z;
@@ -114,7 +114,7 @@ fn depth_of(z: f32) -> f32 {
     let texel = Texel(vec3(1.0), 1.0);
 #endif
 #if ALPHA
-    let alpha = in.opacity * texel.alpha * tint.w;
+    let alpha = in.opacity * texel.alpha;
 #endif
     let z = in.place.z;
 #endif
@@ -189,14 +189,14 @@ fn depth_of(z: f32) -> f32 {
 #else
 #if FACING
     // corners as stored run counter-clockwise on the front, which a mirrored copy turns round
-    let is_front = select(in.what.w == 1u, faces != (in.what.w == 3u), in.what.w >= 2u);
+    let is_front = select(in.side == 1u, faces != (in.side == 3u), in.side >= 2u);
 #endif
 #if COLOR
     let lit = select(in.back, in.front, is_front);
-    targets.color = vec4(lit * texel.color * tint.xyz * shown, shown);
+    targets.color = vec4(lit * texel.color * shown, shown);
 #endif
 #if ALBEDO
-    targets.albedo = vec4(in.base * texel.color * tint.xyz * shown, shown);
+    targets.albedo = vec4(in.base * texel.color * shown, shown);
 #endif
 #if NORMAL
     let normal = unit(turned(in.what.y, in.normal)) * select(-1.0, 1.0, is_front);

@@ -8,7 +8,8 @@ use wgpu::{
     CompareFunction, DepthStencilState, FragmentState, MultisampleState, PipelineLayout,
     PipelineLayoutDescriptor, PrimitiveState, RenderPipeline, RenderPipelineDescriptor,
     SamplerBindingType, ShaderModule, ShaderModuleDescriptor, ShaderSource, ShaderStages,
-    TextureFormat, TextureSampleType, TextureViewDimension, VertexState,
+    TextureFormat, TextureSampleType, TextureViewDimension, VertexAttribute, VertexBufferLayout,
+    VertexFormat, VertexState, VertexStepMode,
 };
 
 use crate::error::LodError;
@@ -114,6 +115,12 @@ impl Key {
             "TEST" => mixing == Mixing::Test,
             "COVERAGE" => mixing == Mixing::Coverage,
             "OVER" => mixing == Mixing::Over,
+            "WHAT" => {
+                let asks = ["TEST", "COVERAGE", "SLAB", "DITHER", "NORMAL", "PARALLAX", "IDS"];
+                asks.iter().any(|name| self.holds(name))
+            }
+            "TINTED" => ["ALPHA", "LIT", "BASE"].iter().any(|name| self.holds(name)),
+            "BASE_OR_ALPHA" => self.holds("BASE") || self.holds("ALPHA"),
             "ALPHA" => mixing != Mixing::Opaque && !is_parallax,
             "SLAB" | "DEPTH" => self.has_slab,
             "DITHER" => self.is_dithered,
@@ -137,6 +144,22 @@ impl Key {
                 .any(|name| self.holds(name)),
             _ => unreachable!("no condition is called {name}"),
         }
+    }
+
+    /// Which of a vertex's arrays the card reads by itself: their numbers, and the numbers in each.
+    pub(crate) fn attributes(&self) -> impl Iterator<Item = (u32, VertexFormat)> {
+        let arrays = [
+            (true, VertexFormat::Float32x3),
+            (self.holds("NORMAL"), VertexFormat::Float32x3),
+            (self.holds("UV"), VertexFormat::Float32x2),
+            (self.holds("BASE_OR_ALPHA"), VertexFormat::Float32x4),
+            (self.holds("LIT"), VertexFormat::Float32x3),
+            (self.holds("LIT"), VertexFormat::Float32x3),
+        ];
+        let is_indexed = self.shapes == Shapes::Indexed;
+        (0..).zip(arrays).filter_map(move |(number, (is_read, format))| {
+            (is_indexed && is_read).then_some((number, format))
+        })
     }
 
     /// Whether fragments must be asked: for colours, or whether they are there.
@@ -294,6 +317,20 @@ impl Pipelines {
         let label = format!("{key:?}");
         let module = key.module(gpu);
         let targets = targets_of(gpu, &key);
+        let attributes: Vec<[VertexAttribute; 1]> = key
+            .attributes()
+            .map(|(shader_location, format)| {
+                [VertexAttribute { format, offset: 0, shader_location }]
+            })
+            .collect();
+        let arrays: Vec<Option<VertexBufferLayout<'_>>> = attributes
+            .iter()
+            .map(|attributes| {
+                let array_stride = attributes[0].format.size();
+                let step_mode = VertexStepMode::Vertex;
+                Some(VertexBufferLayout { array_stride, step_mode, attributes })
+            })
+            .collect();
         gpu.device.create_render_pipeline(&RenderPipelineDescriptor {
             label: Some(&label),
             layout: Some(&self.layout_of(gpu, key.look)),
@@ -301,7 +338,7 @@ impl Pipelines {
                 module: &module,
                 entry_point: Some("place"),
                 compilation_options: wgpu::PipelineCompilationOptions::default(),
-                buffers: &[],
+                buffers: &arrays,
             },
             primitive: PrimitiveState::default(),
             depth_stencil: Some(DepthStencilState {

@@ -96,6 +96,8 @@ pub(crate) struct Renderer {
     pipelines: Pipelines,
     resources: Resources,
     planes: Option<Planes>,
+    /// Whether the last picture's samples have been added up.
+    is_summed: bool,
     clock: Option<Clock>,
     view: Buffer,
     instances: Growing,
@@ -124,6 +126,7 @@ impl Renderer {
             pipelines: Pipelines::new(&gpu),
             resources: Resources::new(&gpu)?,
             planes: None,
+            is_summed: false,
             clock: Clock::new(&gpu)?,
             view: empty_buffer(&gpu, "view", BufferUsages::UNIFORM, view_size)?,
             instances: Growing::new("instances", storage),
@@ -156,6 +159,12 @@ impl Renderer {
     ) -> Result<Frame, LodError> {
         let stats = self.draw(list, view, settings, job)?;
         let planes = self.planes.as_ref().expect("just drawn");
+        if !self.is_summed {
+            let mut encoder = self.encoder();
+            planes.add(&mut encoder, None);
+            let submission = self.gpu.queue.submit([encoder.finish()]);
+            self.gpu.wait(&submission, job)?;
+        }
         let (width, height) = (view.width as usize, view.height as usize);
         let length = width * height;
         let count = |wanted: bool| if wanted { length } else { 0 };
@@ -225,7 +234,8 @@ impl Renderer {
         let is_parallel = view.is_orthographic();
         let far = if is_parallel { greatest_depth(list, view, bounds) } else { 0.0 };
         let picture = Picture { list, view, settings, packed: &packed, far, frame, job };
-        let last = self.passes(&picture, &positions)?;
+        let (last, is_summed) = self.passes(&picture, &positions)?;
+        self.is_summed = is_summed;
         self.gpu.wait(&last, job)?;
         stats.draw_millis = start.elapsed().as_secs_f64() * 1e3;
         stats.vertex_count =
@@ -271,12 +281,12 @@ impl Renderer {
         Ok(group(gpu, "frame", &self.pipelines.frame, &resources))
     }
 
-    /// One pass for each set of samples; the last submission.
+    /// One pass for each set of samples; the last submission, and whether samples were added up.
     fn passes(
         &self,
         picture: &Picture<'_>,
         positions: &[SamplePosition],
-    ) -> Result<SubmissionIndex, LodError> {
+    ) -> Result<(SubmissionIndex, bool), LodError> {
         let planes = self.planes.as_ref().expect("made before");
         let four = planes.shape.four;
         // sample, its number in its set, and the size of that
@@ -292,36 +302,43 @@ impl Renderer {
             passes = vec![(MIDDLE, 0, 4)];
         }
         let weight = 1.0 / picture.settings.sample_count as f32;
+        let background = picture.settings.background;
+        let (sums, finishes) =
+            (planes.needs_sum(passes.len(), background), planes.needs_finish(background));
+        let clock = self.clock.as_ref();
+        let end = |is_end: bool| {
+            clock.filter(|_| is_end).map(|clock| ComputePassTimestampWrites {
+                query_set: &clock.queries,
+                beginning_of_pass_write_index: None,
+                end_of_pass_write_index: Some(1),
+            })
+        };
         let mut submitted = None;
         for (number, &(position, in_set, set_size)) in passes.iter().enumerate() {
             let (is_first, is_last) = (number == 0, number + 1 == passes.len());
-            let background = picture.settings.background;
             let facts = (weight, is_first);
             planes.write_facts(&self.gpu, picture.view, picture.far, background, facts);
             let sample = [in_set, set_size, 0, 0];
             let mut encoder = self.encoder();
             self.write_view(picture, position, sample);
-            self.draw_set(&mut encoder, picture, is_first);
+            self.draw_set(&mut encoder, picture, (is_first, is_last && !sums));
             if planes.shape.searches {
                 self.submit(encoder, &mut submitted, picture.job)?;
                 self.search(picture, (position, sample), &mut submitted)?;
                 encoder = self.encoder();
             }
-            planes.add(&mut encoder, None);
-            if is_last {
-                let timestamps = self.clock.as_ref().map(|clock| ComputePassTimestampWrites {
-                    query_set: &clock.queries,
-                    beginning_of_pass_write_index: None,
-                    end_of_pass_write_index: Some(1),
-                });
-                planes.finish(&mut encoder, timestamps);
-                if let Some(clock) = &self.clock {
-                    encoder.resolve_query_set(&clock.queries, 0..2, &clock.resolved, 0);
-                }
+            if sums {
+                planes.add(&mut encoder, end(is_last && !finishes));
+            }
+            if is_last && finishes {
+                planes.finish(&mut encoder, end(true));
+            }
+            if let Some(clock) = clock.filter(|_| is_last) {
+                encoder.resolve_query_set(&clock.queries, 0..2, &clock.resolved, 0);
             }
             self.submit(encoder, &mut submitted, picture.job)?;
         }
-        Ok(submitted.expect("at least one sample"))
+        Ok((submitted.expect("at least one sample"), sums))
     }
 
     fn encoder(&self) -> CommandEncoder {
@@ -368,25 +385,38 @@ impl Renderer {
         self.gpu.queue.write_buffer(&self.view, 0, bytemuck::bytes_of(&facts));
     }
 
-    /// Draws everything once.
-    fn draw_set(&self, encoder: &mut CommandEncoder, picture: &Picture<'_>, is_first: bool) {
+    /// Draws everything once; whether that is the picture's first pass, and whether its last.
+    fn draw_set(
+        &self,
+        encoder: &mut CommandEncoder,
+        picture: &Picture<'_>,
+        (is_first, is_last): (bool, bool),
+    ) {
         let planes = self.planes.as_ref().expect("made before");
         let (drawn, targets) = (&planes.drawn, planes.shape.targets);
-        let colors = trimmed(vec![
+        let mut colors = trimmed(vec![
             attachment(&drawn.color, targets.color, Color::TRANSPARENT),
             attachment(&drawn.albedo, targets.albedo, Color::TRANSPARENT),
             attachment(&drawn.normal, targets.normal, Color::TRANSPARENT),
             attachment(&drawn.ids, targets.ids, Color { r: f64::from(EMPTY_ID), ..Color::BLACK }),
         ]);
-        let clock = self.clock.as_ref().filter(|_| is_first);
+        if let (Some(Some(color)), Some(resolved)) = (colors.first_mut(), &drawn.resolved) {
+            color.resolve_target = Some(resolved);
+            color.ops.store = StoreOp::Discard;
+        }
+        let mut depth = depth_attachment(&drawn.depth, LoadOp::Clear(0.0));
+        if let Some(ops) = depth.depth_ops.as_mut().filter(|_| !planes.shape.depth) {
+            ops.store = StoreOp::Discard;
+        }
+        let clock = self.clock.as_ref().filter(|_| is_first || is_last);
         let mut pass = encoder.begin_render_pass(&RenderPassDescriptor {
             label: Some("shapes"),
             color_attachments: &colors,
-            depth_stencil_attachment: Some(depth_attachment(&drawn.depth, LoadOp::Clear(0.0))),
+            depth_stencil_attachment: Some(depth),
             timestamp_writes: clock.map(|clock| RenderPassTimestampWrites {
                 query_set: &clock.queries,
-                beginning_of_pass_write_index: Some(0),
-                end_of_pass_write_index: None,
+                beginning_of_pass_write_index: is_first.then_some(0),
+                end_of_pass_write_index: is_last.then_some(1),
             }),
             occlusion_query_set: None,
             multiview_mask: None,
@@ -451,7 +481,12 @@ impl Renderer {
         for run in packed.runs.iter().filter(wanted) {
             let key = search.map_or(run.key, |search| run.key.searched(search));
             pass.set_pipeline(self.pipelines.get(&key));
-            pass.set_bind_group(1, &self.resources.arrays(list, run.vertices).vertices, &[]);
+            let vertices = self.resources.arrays(list, run.vertices);
+            pass.set_bind_group(1, &vertices.vertices, &[]);
+            for (slot, (number, _)) in (0..).zip(key.attributes()) {
+                let buffer = &vertices.vertex_buffers[number as usize];
+                pass.set_vertex_buffer(slot, buffer.slice(..));
+            }
             let indices = self.resources.arrays(list, run.indices);
             pass.set_bind_group(2, &indices.indices, &[]);
             if let Some(surface) = self.resources.surface(list, run.reads) {

@@ -64,6 +64,8 @@ pub(crate) struct Arrays {
     pub(crate) vertices: BindGroup,
     pub(crate) indices: BindGroup,
     pub(crate) index_buffer: Buffer,
+    /// Positions, normals, texture coordinates, base, front and back.
+    pub(crate) vertex_buffers: [Buffer; 6],
     /// Least and greatest coordinates of shared vertices.
     bounds: [Vec3; 2],
 }
@@ -198,8 +200,12 @@ fn arrays_of(buffers: &Buffers) -> [(&'static str, &[u8]); 8] {
 }
 
 fn usage_of(label: &str) -> BufferUsages {
-    let index = if label == "indices" { BufferUsages::INDEX } else { BufferUsages::empty() };
-    BufferUsages::STORAGE | index
+    let more = match label {
+        "indices" => BufferUsages::INDEX,
+        "source ids" => BufferUsages::empty(),
+        _ => BufferUsages::VERTEX,
+    };
+    BufferUsages::STORAGE | more
 }
 
 fn grouped(gpu: &Gpu, pipelines: &Pipelines, buffers: &[Buffer; 8]) -> Arrays {
@@ -209,6 +215,7 @@ fn grouped(gpu: &Gpu, pipelines: &Pipelines, buffers: &[Buffer; 8]) -> Arrays {
         vertices: group(gpu, "vertices", &pipelines.vertices, &resources[..6]),
         indices: group(gpu, "indices", &pipelines.indices, &resources[6..]),
         index_buffer: buffers[6].clone(),
+        vertex_buffers: std::array::from_fn(|number| buffers[number].clone()),
         bounds: [Vec3::ZERO; 2],
     }
 }

@@ -61,8 +61,14 @@ struct Item {
 
 struct Corner {
     @builtin(position) place: vec4<f32>,
-    // Item, instance, id, and the side that is seen: 0 back, 1 front, 2 the one that faces, 3 the other.
-    @location(0) @interpolate(flat) what: vec4<u32>,
+#if WHAT
+    // Item, instance, id.
+    @location(0) @interpolate(flat) what: vec3<u32>,
+#endif
+#if FACING
+    // The side that is seen: 0 back, 1 front, 2 the one that faces, 3 the other.
+    @location(10) @interpolate(flat) side: u32,
+#endif
 #if ORDER
     @location(1) @interpolate(flat) order: u32,
 #endif
@@ -161,8 +167,8 @@ fn clip_pixels(at: vec2<f32>, depth: f32) -> vec4<f32> {
 #endif
 
 #if POINTS
-fn point_corner(corner: u32, instance: u32, vertex: u32, size: f32) -> vec4<f32> {
-    let at = on_picture(instance, position(vertex));
+fn point_corner(corner: u32, instance: u32, local: vec3<f32>, size: f32) -> vec4<f32> {
+    let at = on_picture(instance, local);
     if at.z < view.away.w {
         return NOWHERE;
     }
@@ -205,34 +211,78 @@ fn line_corner(corner: u32, instance: u32, vertices: vec2<u32>, width: f32) -> v
 }
 #endif
 
-@vertex fn place(@builtin(vertex_index) number: u32, @builtin(instance_index) draw: u32) -> Corner {
+// What is known of a vertex: shapes that share corners by their indices get it from the card.
+struct Vertex {
+    @location(0) position: vec3<f32>,
+#if NORMAL
+    @location(1) normal: vec3<f32>,
+#endif
+#if UV
+    @location(2) uv: vec2<f32>,
+#endif
+#if BASE_OR_ALPHA
+    @location(3) base: vec4<f32>,
+#endif
+#if LIT
+    @location(4) front: vec3<f32>,
+    @location(5) back: vec3<f32>,
+#endif
+}
+
+fn vertex_at(at: u32) -> Vertex {
+    var vertex: Vertex;
+    vertex.position = position(at);
+#if NORMAL
+    vertex.normal = normal_at(at);
+#endif
+#if UV
+    vertex.uv = uvs[at];
+#endif
+#if BASE_OR_ALPHA
+    vertex.base = base[at];
+#endif
+#if LIT
+    vertex.front = vec3(front[3u * at], front[3u * at + 1u], front[3u * at + 2u]);
+    vertex.back = vec3(back[3u * at], back[3u * at + 1u], back[3u * at + 2u]);
+#endif
+    return vertex;
+}
+
+@vertex fn place(
+#if INDEXED
+    vertex: Vertex,
+#else
+    @builtin(vertex_index) number: u32,
+#endif
+    @builtin(instance_index) draw: u32,
+) -> Corner {
     let drawn = draws[draw];
     let instance = drawn.y;
     var side = select(2u, 3u, instances[instance].mirrored == 1u);
 #if INDEXED
-    let vertex = number;
     let primitive = 0u;
 #else
     let primitive = number / CORNERS;
     let corner = number % CORNERS;
 #if POINTS
-    let vertex = indices[primitive];
+    let at = indices[primitive];
 #elif LINES
     let ends = vec2(indices[2u * primitive], indices[2u * primitive + 1u]);
-    let vertex = select(ends.y, ends.x, corner == 0u || corner == 3u);
+    let at = select(ends.y, ends.x, corner == 0u || corner == 3u);
 #else
-    let vertex = indices[number];
+    let at = indices[number];
 #endif
+    let vertex = vertex_at(at);
 #endif
     var made: Corner;
 #if POINTS
-    made.place = point_corner(corner, instance, vertex, items[drawn.x].size);
-    side = side_seen(instance, position(vertex), normal_at(vertex));
+    made.place = point_corner(corner, instance, vertex.position, items[drawn.x].size);
+    side = side_seen(instance, vertex.position, normal_at(at));
 #elif LINES
     made.place = line_corner(corner, instance, ends, items[drawn.x].size);
     side = side_seen(instance, position(ends.x), normal_at(ends.x));
 #else
-    made.place = clip(on_picture(instance, position(vertex)));
+    made.place = clip(on_picture(instance, vertex.position));
 #endif
     var id = primitive;
 #if IDS
@@ -240,28 +290,36 @@ fn line_corner(corner: u32, instance: u32, vertices: vec2<u32>, width: f32) -> v
         id = source_ids[primitive];
     }
 #endif
-    made.what = vec4(drawn.x, instance, id, side);
+#if WHAT
+    made.what = vec3(drawn.x, instance, id);
+#endif
+#if FACING
+    made.side = side;
+#endif
+#if TINTED
+    let tint = instances[instance].tint;
+#endif
 #if ORDER
     made.order = drawn.z + primitive;
 #endif
 #if ALPHA
-    made.opacity = base[vertex].w;
+    made.opacity = vertex.base.w * tint.w;
 #endif
 #if UV
-    made.uv = uvs[vertex];
+    made.uv = vertex.uv;
 #endif
 #if LIT
-    made.front = vec3(front[3u * vertex], front[3u * vertex + 1u], front[3u * vertex + 2u]);
-    made.back = vec3(back[3u * vertex], back[3u * vertex + 1u], back[3u * vertex + 2u]);
+    made.front = vertex.front * tint.xyz;
+    made.back = vertex.back * tint.xyz;
 #endif
 #if BASE
-    made.base = base[vertex].xyz;
+    made.base = vertex.base.xyz * tint.xyz;
 #endif
 #if NORMAL
-    made.normal = normal_at(vertex);
+    made.normal = vertex.normal;
 #endif
 #if LOCAL
-    made.local = position(vertex);
+    made.local = vertex.position;
 #endif
 #if FOUR
     made.one = instances[instance].one;

@@ -42,11 +42,14 @@ fn encoded(linear: f32) -> u32 {
 #endif
 }
 #else
-#if FOUR
+#if FOUR_COLORS
 @group(0) @binding(7) var color_drawn: texture_multisampled_2d<f32>;
-@group(0) @binding(8) var depth_drawn: texture_depth_multisampled_2d;
 #else
 @group(0) @binding(7) var color_drawn: texture_2d<f32>;
+#endif
+#if FOUR
+@group(0) @binding(8) var depth_drawn: texture_depth_multisampled_2d;
+#else
 @group(0) @binding(8) var depth_drawn: texture_depth_2d;
 #endif
 @group(0) @binding(9) var albedo_drawn: texture_2d<f32>;
@@ -61,10 +64,15 @@ fn encoded(linear: f32) -> u32 {
     let pixel = vec2<i32>(id.xy);
     let is_first = sum.size.w == 1u;
 #if COLOR
+#if FOUR_COLORS
     var color = vec4(0.0);
     for (var s = 0; s < i32(sum.size.z); s++) {
         color += textureLoad(color_drawn, pixel, s);
     }
+#else
+    // of four samples that the card has resolved it is their mean
+    let color = textureLoad(color_drawn, pixel, 0) * f32(sum.size.z);
+#endif
     color_sum[at] = select(color_sum[at], vec4(0.0), is_first) + color * sum.depth.w;
 #endif
 #if ALBEDO

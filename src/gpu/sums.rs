@@ -45,6 +45,8 @@ pub(crate) struct Drawn {
     pub(crate) depth: TextureView,
     /// What blended shapes let through.
     pub(crate) product: TextureView,
+    /// The mean of four samples of colour, where the card takes it.
+    pub(crate) resolved: Option<TextureView>,
 }
 
 /// What samples are added up in; a plane that is not wanted is empty.
@@ -138,6 +140,18 @@ impl Planes {
         gpu.queue.write_buffer(&self.facts, 0, bytemuck::bytes_of(&facts));
     }
 
+    /// Whether a picture of so many sets of samples is whole only once they are added up. One of a single
+    /// set lies in what was drawn.
+    pub(crate) fn needs_sum(&self, set_count: usize, background: Vec4) -> bool {
+        let is_resolved = !self.shape.four || self.drawn.resolved.is_some();
+        set_count > 1 || !is_resolved || self.shape.searches || self.needs_finish(background)
+    }
+
+    /// Whether something lies behind the picture, or it is wanted in eight bits.
+    pub(crate) fn needs_finish(&self, background: Vec4) -> bool {
+        self.shape.color8 || background != Vec4::ZERO
+    }
+
     /// Adds what was drawn.
     pub(crate) fn add(
         &self,
@@ -205,6 +219,9 @@ impl Drawn {
             ids: plane("ids", ID_FORMAT, ids, false)?,
             depth: plane("depth", DEPTH_FORMAT, true, shape.four)?,
             product: plane("product", gpu.product_format, shape.searches, false)?,
+            resolved: (shape.four && gpu.resolves)
+                .then(|| plane("resolved", gpu.color_format, color, false))
+                .transpose()?,
         })
     }
 }
@@ -229,6 +246,7 @@ fn kernel(
     let written = BufferBindingType::Storage { read_only: false };
     let uniform = buffer_entry(0, stage, BufferBindingType::Uniform);
     let float = TextureSampleType::Float { filterable: false };
+    let has_four_colors = shape.four && drawn.resolved.is_none();
     let (source, entry_point) = match kernel {
         Kernel::Add => (include_str!("sum.wgsl"), "add"),
         Kernel::Finish => (include_str!("sum.wgsl"), "finish"),
@@ -241,7 +259,7 @@ fn kernel(
         entries.extend((1..7).map(|binding| buffer_entry(binding, stage, written)));
         if kernel == Kernel::Add {
             entries.extend([
-                texture_entry(7, stage, float, shape.four),
+                texture_entry(7, stage, float, has_four_colors),
                 texture_entry(8, stage, TextureSampleType::Depth, shape.four),
                 texture_entry(9, stage, float, false),
                 texture_entry(10, stage, float, false),
@@ -259,7 +277,8 @@ fn kernel(
         let buffers = [color, albedo, normal, depth, ids, color8];
         resources.extend(buffers.map(Buffer::as_entire_binding));
         if kernel == Kernel::Add {
-            let Drawn { color, albedo, normal, ids, depth, .. } = drawn;
+            let Drawn { color, albedo, normal, ids, depth, resolved, .. } = drawn;
+            let color = resolved.as_ref().unwrap_or(color);
             resources.extend([color, depth, albedo, normal, ids].map(view));
         }
     }
@@ -267,6 +286,7 @@ fn kernel(
     let source = filled(source, &|name| match name {
         "FINISH" => kernel == Kernel::Finish,
         "FOUR" => shape.four,
+        "FOUR_COLORS" => has_four_colors,
         "COLOR" => color,
         "COLOR8" => shape.color8,
         "ALBEDO" => albedo,
