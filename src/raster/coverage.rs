@@ -31,7 +31,7 @@ pub(crate) struct Lanes {
     /// Samples a pixel.
     pub(crate) sample_count: usize,
     /// Pixels a vector holds.
-    column_count: i32,
+    pub(crate) column_count: i32,
     /// Vectors a pixel takes.
     pub(crate) block_count: usize,
     /// Sub-pixel steps in x and y, one pair of vectors a block.
@@ -40,12 +40,17 @@ pub(crate) struct Lanes {
     pixels: [[[f32; LANE_COUNT]; 2]; MAX_BLOCK_COUNT],
     /// Which pixel after the first.
     columns: [i32; LANE_COUNT],
+    /// Smallest and largest position of a sample in its pixel, in sub-pixel steps.
+    reach: [SamplePosition; 2],
 }
 
 impl Lanes {
     /// For 1, 4, 8 or 16 samples.
     pub(crate) fn new(samples: &[SamplePosition]) -> Self {
         let sample_count = samples.len();
+        let bounds = |pick: fn(i32, i32) -> i32| {
+            [0, 1].map(|axis| samples.iter().map(|at| at[axis]).reduce(pick).unwrap_or(0))
+        };
         assert!([1, 4, 8, 16].contains(&sample_count), "a pass has so many samples");
         let mut lanes = Self {
             sample_count,
@@ -54,6 +59,7 @@ impl Lanes {
             steps: Default::default(),
             pixels: Default::default(),
             columns: Default::default(),
+            reach: [bounds(i32::min), bounds(i32::max)],
         };
         for block in 0..MAX_BLOCK_COUNT {
             let mut sample = block * LANE_COUNT % sample_count;
@@ -94,7 +100,18 @@ impl Lanes {
     }
 
     #[inline(always)]
-    fn steps<S: Simd>(&self, simd: S, block: usize, axis: usize) -> i32x8<S> {
+    pub(crate) fn column_vector<S: Simd>(&self, simd: S) -> i32x8<S> {
+        i32x8::simd_from(simd, self.columns)
+    }
+
+    /// Smallest and largest position of a sample in its pixel, in sub-pixel steps.
+    #[inline(always)]
+    pub(crate) fn reach(&self) -> [SamplePosition; 2] {
+        self.reach
+    }
+
+    #[inline(always)]
+    pub(crate) fn steps<S: Simd>(&self, simd: S, block: usize, axis: usize) -> i32x8<S> {
         i32x8::simd_from(simd, self.steps[block][axis])
     }
 

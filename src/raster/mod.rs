@@ -25,6 +25,7 @@ mod setup;
 mod shade;
 #[cfg(test)]
 mod soups;
+mod spans;
 #[cfg(test)]
 pub(crate) mod tests;
 mod tile;

@@ -3,13 +3,11 @@
 use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, u32x8};
 
-use crate::raster::coverage::{Before, Lanes, covered};
+use crate::raster::coverage::{Before, Covered, Lanes, covered};
 use crate::raster::setup::{Shape, flags};
-use crate::raster::visible::{Depth, index, pixels_in};
+use crate::raster::spans::{Corners, Edges};
+use crate::raster::visible::{Depth, index};
 use crate::simd::{Kernel, LANE_COUNT};
-
-/// Shapes that are fetched before any of them is drawn: each lies by itself in memory.
-const FETCHED_COUNT: usize = 16;
 
 /// Shapes to draw into a tile: those before the first that is not plain. Running it gives how many
 /// those are, and the pixels they cover, if wanted.
@@ -37,64 +35,124 @@ impl Kernel for Plain<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> (usize, u64) {
-        if self.lanes.block_count == 1 { self.draw::<S, 1>(simd) } else { self.draw::<S, 2>(simd) }
+        match (self.lanes.block_count, self.counts_fragments) {
+            (1, false) => self.draw::<S, 1, false>(simd),
+            (1, true) => self.draw::<S, 1, true>(simd),
+            (_, false) => self.draw::<S, 2, false>(simd),
+            (_, true) => self.draw::<S, 2, true>(simd),
+        }
     }
 }
 
 impl Plain<'_> {
     #[inline(always)]
-    fn draw<S: Simd, const BLOCKS: usize>(self, simd: S) -> (usize, u64) {
+    fn draw<S: Simd, const BLOCKS: usize, const COUNTS: bool>(self, simd: S) -> (usize, u64) {
         let Self { lanes, shapes, chosen, first_reference, tile_box, side, keys, waiting, .. } =
             self;
         let row = index(0, 1, side);
-        let nothing = f32x8::splat(simd, f32::NEG_INFINITY);
         let mut fragment_count = 0_u64;
         let mut done = 0_usize;
-        let mut fetched = [Shape::default(); FETCHED_COUNT];
+        let mut corners = Corners::default();
+        let tags = |shapes: &[Shape], numbers: &[u32]| {
+            numbers
+                .iter()
+                .fold(flags::PLAIN, |all, &number| all & shapes[number as usize].tag.flags())
+        };
+        let mut are_plain = 0;
         while done < chosen.len() {
-            let next = &chosen[done..chosen.len().min(done.wrapping_add(FETCHED_COUNT))];
-            for (shape, &index) in fetched.iter_mut().zip(next) {
-                *shape = shapes[index as usize];
+            let (next, later) =
+                chosen[done..].split_at(LANE_COUNT.min(chosen.len().wrapping_sub(done)));
+            let all_plain = are_plain;
+            // asked for now, so that they are here when it is their turn
+            are_plain = tags(shapes, &later[..LANE_COUNT.min(later.len())]);
+            for (lane, &number) in next.iter().enumerate() {
+                corners.put(lane % LANE_COUNT, &shapes[number as usize]);
             }
-            for (shape, &number) in fetched.iter().zip(next) {
-                if !shape.tag.has(flags::PLAIN) {
+            let edges = Edges::new(simd, lanes, &corners, tile_box);
+            for (lane, &number) in next.iter().enumerate() {
+                let shape = &shapes[number as usize];
+                if all_plain == 0 && !shape.tag.has(flags::PLAIN) {
                     return (done, fragment_count);
                 }
                 done = done.wrapping_add(1);
-                let pixels = pixels_in(shape, tile_box);
+                let pixels = edges.pixels(lane);
                 let left = pixels[0].wrapping_sub(tile_box[0]);
                 let top = pixels[1].wrapping_sub(tile_box[1]);
                 let first = index(left, top, side).wrapping_mul(lanes.sample_count);
-                let depth = Depth::new(simd, lanes, shape);
-                let reference = u32x8::splat(simd, first_reference | number);
-                let mut before = Before::default();
-                covered::<S, BLOCKS, true>(
-                    simd,
+                let mut store = Store::<S, COUNTS> {
                     lanes,
-                    shape,
-                    pixels,
-                    row,
-                    #[inline(always)]
-                    |hit| {
-                        if self.counts_fragments {
-                            let more = lanes.pixel_count(&hit, &mut before);
-                            fragment_count = fragment_count.wrapping_add(more);
-                        }
-                        let at = first.wrapping_add(hit.at);
-                        let keys = &mut keys[at..at.wrapping_add(LANE_COUNT)];
-                        let waiting = &mut waiting[at..at.wrapping_add(LANE_COUNT)];
-                        let key = hit.inside.select(depth.keys(simd, &hit), nothing);
-                        let old_key = f32x8::from_slice(simd, keys);
-                        let front = key.simd_gt(old_key);
-                        // not `front.select(key, old_key)`: that becomes a masked store, which is
-                        // slow on some processors
-                        key.max(old_key).store_slice(keys);
-                        let old = u32x8::from_slice(simd, waiting);
-                        front.select(reference, old).store_slice(waiting);
-                    },
-                );
+                    depth: Depth::new(simd, lanes, shape),
+                    reference: u32x8::splat(simd, first_reference | number),
+                    first,
+                    keys: &mut *keys,
+                    waiting: &mut *waiting,
+                    before: Before::default(),
+                    fragment_count: 0,
+                };
+                if shape.tag.has(flags::RECT) || shape.tag.has(flags::WIDE) {
+                    covered::<S, BLOCKS, true>(
+                        simd,
+                        lanes,
+                        shape,
+                        pixels,
+                        row,
+                        #[inline(always)]
+                        |hit| {
+                            let x = lanes.pixels(simd, hit.block, 0) + hit.x as f32;
+                            let y = lanes.pixels(simd, hit.block, 1) + hit.y as f32;
+                            store.hit(simd, &hit, [x, y]);
+                        },
+                    );
+                } else {
+                    edges.each::<S, BLOCKS>(
+                        simd,
+                        lanes,
+                        lane,
+                        row,
+                        #[inline(always)]
+                        |hit, place| store.hit(simd, &hit, place),
+                    );
+                }
+                fragment_count = fragment_count.wrapping_add(store.fragment_count);
             }
         }
         (done, fragment_count)
+    }
+}
+
+/// Where the samples of one shape go.
+struct Store<'a, S: Simd, const COUNTS: bool> {
+    lanes: &'a Lanes,
+    depth: Depth<'a, S>,
+    reference: u32x8<S>,
+    /// Index of the box's first sample.
+    first: usize,
+    keys: &'a mut [f32],
+    waiting: &'a mut [u32],
+    before: Before,
+    /// Pixels covered, if `COUNTS`.
+    fragment_count: u64,
+}
+
+impl<S: Simd, const COUNTS: bool> Store<'_, S, COUNTS> {
+    /// Stores the shape where it covers samples and is in front.
+    #[inline(always)]
+    fn hit(&mut self, simd: S, hit: &Covered<S>, place: [f32x8<S>; 2]) {
+        if COUNTS {
+            let more = self.lanes.pixel_count(hit, &mut self.before);
+            self.fragment_count = self.fragment_count.wrapping_add(more);
+        }
+        let at = self.first.wrapping_add(hit.at);
+        let keys = &mut self.keys[at..at.wrapping_add(LANE_COUNT)];
+        let waiting = &mut self.waiting[at..at.wrapping_add(LANE_COUNT)];
+        let nothing = f32x8::splat(simd, f32::NEG_INFINITY);
+        let key = hit.inside.select(self.depth.keys_at(place), nothing);
+        let old_key = f32x8::from_slice(simd, keys);
+        let front = key.simd_gt(old_key);
+        // not `front.select(key, old_key)`: that becomes a masked store, which is slow on some
+        // processors
+        key.max(old_key).store_slice(keys);
+        let old = u32x8::from_slice(simd, waiting);
+        front.select(self.reference, old).store_slice(waiting);
     }
 }

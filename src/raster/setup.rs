@@ -63,6 +63,10 @@ impl Tag {
         self.0 & flag != 0
     }
 
+    pub(crate) fn flags(self) -> u32 {
+        self.0 & ((1 << Self::FLAG_BITS) - 1)
+    }
+
     pub(crate) fn segment(self) -> u32 {
         self.0 >> Self::FLAG_BITS
     }

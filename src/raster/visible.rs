@@ -190,10 +190,16 @@ impl<'a, S: Simd> Depth<'a, S> {
 
     #[inline(always)]
     pub(crate) fn keys(&self, simd: S, hit: &Covered<S>) -> f32x8<S> {
+        let x = self.lanes.pixels(simd, hit.block, 0) + hit.x as f32;
+        let y = self.lanes.pixels(simd, hit.block, 1) + hit.y as f32;
+        self.keys_at([x, y])
+    }
+
+    /// Keys at points of the picture.
+    #[inline(always)]
+    pub(crate) fn keys_at(&self, [x, y]: [f32x8<S>; 2]) -> f32x8<S> {
         let [at_origin, slope_x, slope_y] = self.shape.key;
-        let [x, y] = self.shape.origin;
-        let from_x = (self.lanes.pixels(simd, hit.block, 0) + hit.x as f32) - x;
-        let from_y = (self.lanes.pixels(simd, hit.block, 1) + hit.y as f32) - y;
+        let (from_x, from_y) = (x - self.shape.origin[0], y - self.shape.origin[1]);
         let key = from_x * slope_x + from_y * slope_y + at_origin;
         key.max(self.farthest).min(self.nearest)
     }
