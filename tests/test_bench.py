@@ -13,8 +13,10 @@ import treelod
 from treelod import Camera, NoAdapterError, _core
 from treelod.bench import GROUPS, Row, bake, interleaved, splats
 from treelod.bench.llvmpipe import Llvmpipe
+from treelod.bench.raster import least_operations
 from treelod.bench.subjects import COUNTS, Cloud, GrownMesh, Subject
 from treelod.cli import app
+from treelod.plants import grow_plant
 from treelod.render import camera_facts
 
 KEYS = [
@@ -82,6 +84,14 @@ def test_runs_take_turns_and_medians_ignore_the_warm_up():
 def seen(*parts, camera=None):
     from_front = Camera.perspective((0.0, 4.0, 20.0), (0.0, 4.0, 0.0), size=(80, 60))
     return Subject(parts, camera_facts(camera or from_front))
+
+
+def test_least_operations_grow_with_what_is_drawn():
+    plant = grow_plant("chestnut", leaf_count=20)
+    vertices = len(plant.wood.positions) + len(plant.foliage.mesh.positions)
+    hidden = least_operations(plant, 0)
+    assert hidden == 42 * vertices + 143 * plant.triangle_count
+    assert least_operations(plant, 1000) == hidden + 19_000
 
 
 def small_parts():
@@ -232,6 +242,7 @@ def test_raster_rows_compare_the_same_picture(tmp_path):
         "ours, scalar",
         "the slow twin",
         "bound: a copy of the bytes touched",
+        "bound: arithmetic in full vectors",
     }
     compared = [row for row in rows if row["peer_error"] is not None]
     assert [row["aim"] for row in compared] == [8.0, 8.0, 4.0, 4.0, None, None]

@@ -66,7 +66,7 @@ def passed_count(lines):
 
 @pytest.mark.timeout(1800)  # the first run compiles everything
 def test_rust_suite_passes(cargo):
-    # optimised, and with what draws on graphics cards: the libraries are built for the extension already
+    # optimised, and with what draws on cards: so the libraries are built for the extension already
     status, lines = run_cargo(cargo, "test", "--locked", "--release", "--features", "gpu")
     if status != 0:
         pytest.fail(f"cargo test ended with {status}\n\n{failure_of(lines)}", pytrace=False)

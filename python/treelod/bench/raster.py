@@ -42,6 +42,12 @@ TWIN_SIZE = (64, 48)
 
 REFERENCE_SAMPLES = 256
 
+OPERATIONS = {"vertex": 42, "triangle": 143, "sample": 19}
+"""
+Additions, products and comparisons that the rasteriser's kernels do for each vertex, each triangle
+(set up, and its edges) and each sample it covers, counted in their code.
+"""
+
 MARGIN = 1.05
 """Of the distance at which a flat plant would just fit: boughs that reach forward need it."""
 
@@ -73,6 +79,8 @@ def rows(*, repeats: int, small: bool) -> Iterator[Row]:
     best, scalar = _core.Renderer(), _core.Renderer(simd="scalar")
     subject = Subject([chestnut], camera_facts(filling_camera(plant, size)))
     reference, _ = subject.picture(best, samples=REFERENCE_SAMPLES)
+    _, counts = subject.picture(best, samples=1)
+    rate = max(_core.peak_rate() for _ in range(repeats))
     for samples in (1, 4, 16):
         ours_error = rmse(subject.picture(best, samples=samples)[0], reference)
         for threads in THREADS:
@@ -99,6 +107,8 @@ def rows(*, repeats: int, small: bool) -> Iterator[Row]:
             )
             yield row(peer="ours, scalar", peer_secs=secs["scalar"])
             yield row(peer="bound: a copy of the bytes touched", peer_secs=secs["copy"])
+            least = least_operations(plant, counts["fragments"] * samples) / (rate * threads)
+            yield row(peer="bound: arithmetic in full vectors", peer_secs=least)
     near = Subject([chestnut], camera_facts(filling_camera(plant, TWIN_SIZE)))
     yield _twin_row(near, name, repeats)
 
@@ -148,6 +158,28 @@ def bytes_touched(plant: Plant, size: tuple[int, int]) -> int:
     per_vertex = 12 + 2 * 24
     per_triangle = 12 + 2 * (64 + 20 + 4)
     return vertices * per_vertex + plant.triangle_count * per_triangle + size[0] * size[1] * 16
+
+
+def least_operations(plant: Plant, sample_count: int) -> int:
+    """
+    Return the operations on numbers that a frame must at least do, were every vector full.
+
+    What colours take is left out, and so is all that is no arithmetic.
+
+    Parameters
+    ----------
+    plant : Plant
+        What is drawn.
+    sample_count : int
+        Samples that its triangles cover, hidden ones included.
+
+    Returns
+    -------
+    int
+    """
+    vertices = len(plant.wood.positions) + len(plant.foliage.mesh.positions)
+    counts = {"vertex": vertices, "triangle": plant.triangle_count, "sample": sample_count}
+    return sum(counts[what] * OPERATIONS[what] for what in counts)
 
 
 def _copy(byte_count: int, threads: int, stack: ExitStack) -> Callable[[], float]:
