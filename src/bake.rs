@@ -4,7 +4,7 @@
 //! many samples a texel, premultiplied and linear; empty texels take a neighbour's colour; and its
 //! levels keep mean alpha or coverage, by how the card will be drawn.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::{DVec3, Vec4};
 
@@ -75,6 +75,31 @@ impl BakeRect {
 
     fn eye_distance(&self) -> f64 {
         2.0 * self.reach.max(self.width).max(self.height)
+    }
+}
+
+/// Renderers that bakes side by side take in turn: as many as there are bakes at a time, each with the
+/// planes that it has allocated before.
+#[derive(Debug, Default)]
+pub(crate) struct Renderers {
+    idle: Mutex<Vec<Renderer>>,
+}
+
+impl Renderers {
+    /// Draws with a renderer that nothing else has meanwhile. One that has failed is not used again.
+    ///
+    /// # Errors
+    /// What `draw` returns.
+    pub(crate) fn with<T>(
+        &self,
+        draw: impl FnOnce(&mut Renderer) -> Result<T, LodError>,
+    ) -> Result<T, LodError> {
+        // never held while something is drawn
+        let idle = || self.idle.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut renderer = idle().pop().unwrap_or_default();
+        let drawn = draw(&mut renderer)?;
+        idle().push(renderer);
+        Ok(drawn)
     }
 }
 
@@ -167,6 +192,23 @@ mod tests {
         assert!((pixel - glam::DVec2::new(8.0, 0.0)).length() < 1e-12, "{pixel}");
         let (_, depth) = view.project(rect.center + DVec3::X).expect("parallel");
         assert!((depth - rect.depth_of(1.0)).abs() < 1e-12, "one metre nearer");
+    }
+
+    #[test]
+    fn renderers_are_taken_in_turn() {
+        let renderers = Renderers::default();
+        let idle = || renderers.idle.lock().expect("no panic").len();
+        let inside = renderers.with(|_| {
+            // one inside the other, as on two threads
+            let other = renderers.with(|_| Ok(idle()))?;
+            Ok((other, idle()))
+        });
+        assert_eq!(inside.expect("nothing fails"), (0, 1), "the inner is back before the outer");
+        assert_eq!(idle(), 2, "as many as there were at a time");
+        assert_eq!(renderers.with(|_| Ok(idle())).expect("nothing fails"), 1, "one of them again");
+        let failed: Result<(), LodError> = renderers.with(|_| Err(LodError::Cancelled));
+        assert!(failed.is_err(), "its own error");
+        assert_eq!(idle(), 1, "what failed is gone");
     }
 
     #[test]

@@ -2,12 +2,12 @@
 //! several stacks are painted over one another.
 
 use std::ops::Range;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use glam::{DVec2, DVec3, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
-use crate::bake::{BakeRect, bake, finish, levels, stored};
+use crate::bake::{BakeRect, Renderers, bake, finish, levels, stored};
 use crate::draw_list::{Blend, Buffers, DrawList, Geometry, Item, Primitive, Source, Surface};
 use crate::error::{LodError, check_in};
 use crate::job::Job;
@@ -17,7 +17,7 @@ use crate::lod::slabs::Assignment;
 use crate::lod::viewer::Viewer;
 use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture};
 use crate::plant::Mesh;
-use crate::raster::{Renderer, samples};
+use crate::raster::samples;
 use crate::texture::mips::Keep;
 use crate::texture::quadtree;
 use crate::texture::texture::check_size;
@@ -201,7 +201,7 @@ struct Pictures<'a> {
     /// Least side of the squares that pictures are kept in.
     quadtree: Option<u32>,
     job: &'a Job,
-    idle: Mutex<Vec<Renderer>>,
+    renderers: Renderers,
 }
 
 /// The cards of all slices so far.
@@ -220,8 +220,8 @@ impl<'a> Baker<'a> {
         grid: usize,
         job: &'a Job,
     ) -> Self {
-        let idle = Mutex::default();
-        let pictures = Pictures { sample_count, format, quadtree, job, idle };
+        let renderers = Renderers::default();
+        let pictures = Pictures { sample_count, format, quadtree, job, renderers };
         Self { pictures, cards: Cards { buffers: Buffers::default(), grid } }
     }
 
@@ -272,11 +272,7 @@ impl<'a> Baker<'a> {
 
 impl Pictures<'_> {
     fn drawn(&self, list: &DrawList, view: &View) -> Result<LinearImage, LodError> {
-        let idle = || self.idle.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut renderer = idle().pop().unwrap_or_default();
-        let image = bake(&mut renderer, list, view, self.sample_count, self.job)?;
-        idle().push(renderer);
-        Ok(image)
+        self.renderers.with(|renderer| bake(renderer, list, view, self.sample_count, self.job))
     }
 
     /// A picture as it is stored: its squares, and what stands for them from afar; the picture itself

@@ -1,11 +1,11 @@
 //! Layers as cards: each baked from the side that all are seen from, all of them in one texture.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use glam::{DVec2, DVec3, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
-use crate::bake::{self, bake};
+use crate::bake::{self, Renderers, bake};
 use crate::draw_list::{Buffers, Geometry};
 use crate::error::LodError;
 use crate::job::Job;
@@ -123,17 +123,14 @@ impl Baker<'_> {
         let atlas = Atlas::new("resolution", &sizes)?;
         self.job.begin(plans.len() as u64);
         let mut levels = atlas.levels();
-        let renderers: Mutex<Vec<Renderer>> = Mutex::default();
-        let idle = || renderers.lock().unwrap_or_else(PoisonError::into_inner);
+        let renderers = Renderers::default();
         let whole = self.grid.whole();
         let draw = |card: usize| {
             self.job.check()?;
-            let mut renderer = idle().pop().unwrap_or_default();
             // the same eye for all that share a border: the same numbers for the depth of a sample
             let seen = if self.is_cut { whole } else { cells[card] };
             let parts = Parts { plan: plans[card], cells: cells[card], seen };
-            let made = self.levels(&parts, card, &atlas, &mut renderer)?;
-            idle().push(renderer);
+            let made = renderers.with(|renderer| self.levels(&parts, card, &atlas, renderer))?;
             self.job.advance();
             Ok(made)
         };

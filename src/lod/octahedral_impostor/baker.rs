@@ -4,19 +4,17 @@
 //! colour. The normal is that of the side which is seen, and beside it stands whether the texel's
 //! nearest sample is a leaf.
 
-use std::sync::{Mutex, PoisonError};
-
 use glam::{DVec3, Vec3, Vec4};
 use rayon::prelude::*;
 
-use crate::bake::{self, BakeRect, bake_frame};
+use crate::bake::{self, BakeRect, Renderers, bake_frame};
 use crate::error::LodError;
 use crate::job::Job;
 use crate::lod::octahedral_impostor::ball::Ball;
 use crate::lod::octahedral_impostor::{Drawing, Params, Shading};
 use crate::lod::solid::Solid;
 use crate::lod::{Crown, ListBuilder};
-use crate::raster::{EMPTY_ID, Frame as Picture, Outputs, Renderer};
+use crate::raster::{EMPTY_ID, Frame as Picture, Outputs};
 use crate::texture::atlas::Atlas;
 use crate::texture::depth_map::{self, DepthLevel};
 use crate::texture::mips::Keep;
@@ -77,7 +75,7 @@ impl Baker<'_> {
     /// Bakes a frame for each direction, in the atlas's order.
     pub(super) fn bake(&self, directions: &[DVec3]) -> Result<Layers, LodError> {
         let mut layers = Layers::of(self.atlas, self.params.shading);
-        let renderers = Mutex::default();
+        let renderers = Renderers::default();
         let cards: Vec<usize> = (0..directions.len()).collect();
         self.job.begin(cards.len() as u64);
         for batch in cards.chunks(at_once(self.resolution)) {
@@ -95,12 +93,7 @@ impl Baker<'_> {
         Ok(layers)
     }
 
-    fn frame(
-        &self,
-        card: usize,
-        toward: DVec3,
-        renderers: &Mutex<Vec<Renderer>>,
-    ) -> Result<Layers, LodError> {
+    fn frame(&self, card: usize, toward: DVec3, renderers: &Renderers) -> Result<Layers, LodError> {
         let Self { params, atlas, job, resolution, .. } = *self;
         let rect = self.ball.rect(toward);
         let view = rect.view((resolution, resolution))?;
@@ -111,10 +104,9 @@ impl Baker<'_> {
         let is_relit = params.shading == Shading::Relit;
         let outputs =
             Outputs { albedo: is_relit, normal: is_relit, ids: is_relit, ..Outputs::COLOR_DEPTH };
-        let idle = || renderers.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut renderer = idle().pop().unwrap_or_default();
-        let picture = bake_frame(&mut renderer, &list, &view, params.sample_count, outputs, job)?;
-        idle().push(renderer);
+        let picture = renderers.with(|renderer| {
+            bake_frame(renderer, &list, &view, params.sample_count, outputs, job)
+        })?;
         let padded = |texels: Vec<Vec4>| {
             atlas.padded(card, &LinearImage { width: resolution, height: resolution, texels })
         };
