@@ -299,6 +299,50 @@ def test_from_below_the_upper_half_shows_the_horizon(plant, lod):
         assert lod.mixed(parallel(below, lod)) == pytest.approx(lod.mixed(parallel(level, lod)))
 
 
+@pytest.mark.parametrize("blend", ["three", "nearest"])
+def test_from_below_the_upper_half_thins_out_and_vanishes(plant, blend):
+    half, whole = (
+        tl.OctahedralImpostor.build(plant, frame_count=side, resolution=32, blend=blend, **kind)
+        for side, kind in ((5, {}), (9, {"hemisphere": False}))
+    )
+    full = tl.FullMesh.build(plant)
+    down = np.radians([0, 50, 70, 80, 88])
+    toward = np.stack([0.6 * np.cos(down), -np.sin(down), 0.8 * np.cos(down)], axis=1)
+    cameras = [parallel(direction, half) for direction in toward]
+    # straight down, the picture needs an up of its own
+    eye = half.center - [0, 20, 0]
+    below = [
+        tl.Camera.orthographic(
+            tuple(eye), tuple(half.center), height=2 * half.radius, size=(64, 64), up=up
+        )
+        for up in ((0, 0, 1), (1, 0, 0), (1, 0, 1))
+    ]
+
+    def shares(lod, cameras):
+        """Covered by an impostor, as shares of what the mesh covers."""
+        alphas = [
+            [tl.render(each, camera, samples=4).color[..., 3].mean() for camera in cameras]
+            for each in (lod, full)
+        ]
+        return np.divide(*alphas)
+
+    found = shares(half, cameras)
+    assert found[0] > 0.9
+    assert (np.diff(found) < 0).all(), "thinner and thinner"
+    assert found[-1] < 0.1
+    for camera in below:
+        frame = tl.render(half, camera, samples=4)
+        assert not frame.color.any()
+        assert np.isinf(frame.depth).all()
+    # the control: the whole sphere has frames from there
+    assert (shares(whole, [*cameras, *below]) > 0.7).all()
+    # an eye near by sees the plant at angles, and of some of it a little
+    near = tl.Camera.perspective(
+        tuple(half.center - [0, 3 * half.radius, 0]), tuple(half.center), size=SIZE, up=(1, 0, 0)
+    )
+    assert shares(half, [near]) < 0.5
+
+
 def test_threads_give_the_same_bytes(plant):
     one, two = (
         tl.OctahedralImpostor.build(plant, frame_count=4, resolution=24, threads=threads)
@@ -350,16 +394,23 @@ def test_a_plant_of_one_leaf_or_wood_alone_has_a_picture():
         ({"frame_count": 1}, ValueError, "frame_count"),
         ({"frame_count": 65}, ValueError, "frame_count"),
         ({"frame_count": 2, "hemisphere": False}, ValueError, "frame_count"),
+        ({"frame_count": 65, "hemisphere": False}, ValueError, "frame_count"),
         ({"frame_count": 3.5}, TypeError, "frame_count"),
         ({"resolution": 0}, ValueError, "resolution"),
         ({"resolution": 16385}, ValueError, "resolution"),
-        ({"frame_count": 64, "resolution": 256}, tl.LimitError, "resolution"),
+        ({"resolution": 8193}, tl.LimitError, "resolution"),
+        ({"resolution": 961}, tl.LimitError, "resolution"),
+        ({"frame_count": 64, "resolution": 121}, tl.LimitError, "resolution"),
+        ({"frame_count": 3, "hemisphere": False, "resolution": 3201}, tl.LimitError, "resolution"),
         ({"samples": 3}, ValueError, "samples"),
         ({"blend": "four"}, ValueError, "blend"),
         ({"drawing": "tested"}, ValueError, "drawing"),
         ({"drawing": 3}, TypeError, "drawing"),
         ({"drawing": "test", "cutoff": float("nan")}, ValueError, "cutoff"),
         ({"drawing": "test", "cutoff": 0.0}, ValueError, "cutoff"),
+        ({"drawing": "coverage", "cutoff": float("nan")}, ValueError, "cutoff"),
+        ({"drawing": "coverage", "cutoff": 0.0039}, ValueError, "cutoff"),
+        ({"drawing": "blend", "cutoff": 1.001}, ValueError, "cutoff"),
         ({"parallax_steps": -1}, ValueError, "parallax_steps"),
         ({"parallax_steps": 65}, ValueError, "parallax_steps"),
         ({"depth_tolerance": 0.0}, ValueError, "depth_tolerance"),
@@ -377,3 +428,33 @@ def test_a_plant_of_one_leaf_or_wood_alone_has_a_picture():
 def test_bad_arguments_are_refused_by_name(plant, params, error, match):
     with pytest.raises(error, match=match):
         tl.OctahedralImpostor.build(plant, **params)
+
+
+@pytest.mark.parametrize(
+    ("params", "frames"),
+    [
+        ({"frame_count": 2}, 4),
+        ({"frame_count": 64}, 64**2),
+        ({"frame_count": 3, "hemisphere": False}, 6),
+        ({"frame_count": 64, "hemisphere": False}, 63**2),
+        ({"frame_count": 2, "drawing": "test", "cutoff": 1 / 255}, 4),
+        ({"frame_count": 2, "drawing": "blend", "cutoff": 1.0}, 4),
+        ({"frame_count": 2, "parallax_steps": 0}, 4),
+        ({"frame_count": 2, "parallax_steps": 64}, 4),
+        ({"frame_count": 2, "depth_tolerance": 1e-6}, 4),
+        ({"frame_count": 2, "depth_tolerance": 1e6}, 4),
+    ],
+)
+def test_the_ends_of_ranges_are_taken(params, frames):
+    lod = tl.OctahedralImpostor.build(random_crown(20), resolution=1, samples=1, **params)
+    assert sum(lod.baked) == frames
+
+
+def test_as_many_texels_as_one_frame_could_have_may_be_asked_for():
+    plant = random_crown(20)
+    far = tl.Camera.perspective((0, 0, 400), (0, 0, 0), size=SIZE)
+    lod = tl.OctahedralImpostor.build(plant, resolution=8192, views=[far])
+    assert lod.textures[0].levels[0].size < 1000
+    near = tl.Camera.perspective((0, 0, 3), (0, 0, 0), size=(8000, 8000))
+    with pytest.raises(tl.LimitError, match="resolution"):
+        tl.OctahedralImpostor.build(plant, resolution=8192, views=[near])

@@ -40,6 +40,7 @@ REPEATS = 15
 """Frames that are timed, in turns."""
 
 ELEVATIONS = (-50, -20, 2, 25, 55, 85)
+BELOW = (0, -20, -50, -70, -80, -85, -88, -89)
 EVENING = tl.Lighting(sun_direction=(-0.9, 0.25, 0.3), sun=(1.0, 0.55, 0.25), sky=(0.18, 0.2, 0.32))
 """A low sun from the other side."""
 
@@ -270,6 +271,26 @@ def measure_spheres() -> None:
         print(f"| {label} | {baked_bytes(lod) / 1e6:.2f} | {' | '.join(cells)} |", flush=True)
 
 
+def measure_below() -> None:
+    """Print how much of the mesh's area is covered from below, in parallel views."""
+    plant = tl.grow_plant("chestnut")
+    full = tl.FullMesh.build(plant)
+    for label, hemisphere in (("upper half", True), ("whole", False)):
+        lod = tl.OctahedralImpostor.build(plant, hemisphere=hemisphere)
+        cells = []
+        for elevation in BELOW:
+            views = [whole_plant(plant, elevation, azimuth) for azimuth in (12.0, 200.0, 300.0)]
+            covered = [
+                sum(
+                    float(tl.render(each, view, samples=SAMPLES).color[..., 3].sum())
+                    for view in views
+                )
+                for each in (lod, full)
+            ]
+            cells.append(f"{covered[0] / covered[1]:.2f}")
+        print(f"| {label} | {' | '.join(cells)} |", flush=True)
+
+
 def measure_relit() -> None:
     """Print what frames show under another light: baked for it, lit anew, and left as they were."""
     for name, plant in plants().items():
@@ -372,6 +393,7 @@ def main() -> None:
         "sweep": measure_sweep,
         "times": measure_times,
         "spheres": measure_spheres,
+        "below": measure_below,
         "relit": measure_relit,
         "bytes": measure_bytes,
         "popping": measure_popping,

@@ -39,7 +39,7 @@ use crate::lod::{Crown, Footprint, ListBuilder, NamedTexture, Representation, fo
 use crate::plant::{Lighting, Mesh, Plant};
 use crate::raster::samples;
 use crate::texture::atlas::Atlas;
-use crate::texture::depth_map::DepthLevel;
+use crate::texture::depth_map::{self, DepthLevel};
 use crate::texture::frames::{Frame, Parts, Relit};
 use crate::texture::texture::check_size;
 use crate::texture::{
@@ -183,7 +183,7 @@ impl OctahedralImpostor {
             bounds: [ball.center - ball.half, ball.center + ball.half].map(|p| p.as_vec3()),
             frames,
             size: in_atlas(0, [1.0; 2]) - in_atlas(0, [0.0; 2]),
-            color: bake::stored(color, params.format, job)?.bounded(),
+            color: bake::stored(color, params.format, job)?,
             depth: Arc::new(DepthMap::new(depth, params.depth_bit_count)?),
             relit: relit.transpose()?,
         })?;
@@ -357,19 +357,24 @@ fn light(lighting: &Lighting, name: &'static str) -> Result<Light, LodError> {
     })
 }
 
+/// Checks what [`Drawing::Test`] tests against.
+///
+/// # Errors
+/// `cutoff` out of range.
+pub fn check_cutoff(cutoff: f32) -> Result<(), LodError> {
+    // at 0 every sample of a card would pass
+    check_in("cutoff", cutoff, 1.0 / 255.0..=1.0)
+}
+
 fn check(params: &Params) -> Result<(), LodError> {
     check_size("resolution", params.resolution, params.resolution)?;
     check_in("parallax_steps", params.step_count, 0..=MAX_STEP_COUNT)?;
     if let Some(tolerance) = params.tolerance {
         check_in("depth_tolerance", tolerance, 1e-6..=1e6)?;
     }
-    if params.depth_bit_count != 8 && params.depth_bit_count != 16 {
-        let why = format!("must be 8 or 16, got {}", params.depth_bit_count);
-        return Err(LodError::Invalid { name: "depth_bits", why });
-    }
+    depth_map::check_bit_count(params.depth_bit_count)?;
     if let Drawing::Test(cutoff) = params.drawing {
-        // at 0 every sample of a card would pass
-        check_in("cutoff", cutoff, 1.0 / 255.0..=1.0)?;
+        check_cutoff(cutoff)?;
     }
     samples::positions(params.sample_count)?;
     if params.views.as_ref().is_some_and(Vec::is_empty) {

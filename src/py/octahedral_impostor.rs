@@ -45,6 +45,8 @@ impl OctahedralImpostorFacts {
             ("blend", Drawing::Blend),
         ];
         let shadings = [("baked", Shading::Baked), ("relit", Shading::Relit)];
+        // also where it is not in use
+        core::check_cutoff(self.cutoff)?;
         let views = self.views.map(|views| views.iter().map(CameraFacts::view).collect());
         Ok(Params {
             grid: Grid::new(self.frame_count, self.hemisphere)?,

@@ -6,7 +6,7 @@
 
 use glam::{Vec2, Vec4};
 
-use crate::error::{LodError, check_in};
+use crate::error::LodError;
 use crate::texture::dilate::{Check, dilated_as};
 use crate::texture::linear::LinearImage;
 use crate::texture::texture::level_pair;
@@ -30,6 +30,18 @@ pub struct DepthLevel {
 pub struct DepthMap {
     levels: Vec<DepthLevel>,
     bit_count: u32,
+}
+
+/// Checks how many bits a depth is to have.
+///
+/// # Errors
+/// `depth_bits` other than 8 and 16.
+pub fn check_bit_count(bit_count: u32) -> Result<(), LodError> {
+    if bit_count == 8 || bit_count == 16 {
+        return Ok(());
+    }
+    let why = format!("must be 8 or 16, got {bit_count}");
+    Err(LodError::Invalid { name: "depth_bits", why })
 }
 
 /// A stored code of a share of the range.
@@ -74,11 +86,7 @@ impl DepthMap {
     /// # Errors
     /// `depth_bits` other than 8 and 16; levels that do not fit together.
     pub fn new(levels: Vec<DepthLevel>, bit_count: u32) -> Result<Self, LodError> {
-        check_in("depth_bits", bit_count, 8..=16)?;
-        if bit_count != 8 && bit_count != 16 {
-            let why = format!("must be 8 or 16, got {bit_count}");
-            return Err(LodError::Invalid { name: "depth_bits", why });
-        }
+        check_bit_count(bit_count)?;
         let fits = |level: &DepthLevel| {
             level.codes.len() as u64 == u64::from(level.width) * u64::from(level.height)
         };
@@ -210,13 +218,15 @@ mod tests {
     fn levels_must_fit_together() {
         let level = |width: u32| DepthLevel { width, height: 1, codes: vec![0; width as usize] };
         assert!(DepthMap::new(vec![level(4), level(2)], 16).is_ok(), "halves");
-        for (levels, bit_count) in [
-            (vec![], 16),
-            (vec![level(4), level(3)], 16),
-            (vec![DepthLevel { codes: vec![], ..level(4) }], 16),
-            (vec![level(1)], 12),
-        ] {
-            assert!(DepthMap::new(levels, bit_count).is_err(), "refused");
+        for levels in
+            [vec![], vec![level(4), level(3)], vec![DepthLevel { codes: vec![], ..level(4) }]]
+        {
+            let error = DepthMap::new(levels, 16).expect_err("refused").to_string();
+            assert!(error.starts_with("depth:"), "{error}");
+        }
+        for bit_count in [0, 7, 12, 17, 32] {
+            let error = DepthMap::new(vec![level(1)], bit_count).expect_err("refused").to_string();
+            assert_eq!(error, format!("depth_bits: must be 8 or 16, got {bit_count}"), "by name");
         }
     }
 }

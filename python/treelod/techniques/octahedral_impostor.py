@@ -151,12 +151,18 @@ class OctahedralImpostor(Technique):
         plant : Plant
             Any plant.
         frame_count : int, default 8
-            Frames along each side of the grid, in 2..=64: its square of them in all.
+            Frames along each side of the grid, its square of them in all: in 2..=64, or in 3..=64
+            over the whole sphere, whose four corners are one direction.
         hemisphere : bool, default True
-            Whether only views from the horizon up have frames; who looks from below then sees the
-            plant as from the horizon. False spreads the grid over the whole sphere.
+            Whether only views from the horizon up have frames. Who looks from below then sees the
+            frames of the horizon, ever more from the side: the plant thins out, and parallel views
+            from about 88.9 degrees below show nothing. False spreads the grid over the whole
+            sphere.
         resolution : int, default 128
-            Texels along each side of a frame, in 1..=16384.
+            Texels along each side of a frame, in 1..=8192, of which all frames together must fit
+            into 2**26 texels: up to 3968 where `frame_count` is 2, 960 where it is 8, and 120 where
+            it is 64; over the whole sphere 3200 for 3, 1088 for 8 and 124 for 64. With `views` the
+            frames and the texels that are baked count.
         samples : int, default 16
             Samples a texel, as in `treelod.render`.
         blend : {'three', 'nearest'}, default 'three'
@@ -165,7 +171,7 @@ class OctahedralImpostor(Technique):
             The plant is there on as many of a pixel's samples as the mixed alpha asks for; or where
             alpha is at least `cutoff`; or it is blended, farthest copies first, without depth.
         cutoff : float, default 0.5
-            Alpha from which a tested impostor is there, in [1/255, 1].
+            Alpha from which a tested impostor is there, in [1/255, 1] whatever `drawing` is.
         parallax_steps : int, default 2
             How often the stored depth moves the point that is read, in 0..=64: 0 shows frames as
             flat pictures, 1 is what engines do.

@@ -18,6 +18,7 @@ use crate::lod::wood::Wood;
 use crate::lod::{ListBuilder, Representation};
 use crate::plant::{Lighting, Plant};
 use crate::raster::{Frame, Outputs, Renderer, Settings};
+use crate::texture::atlas::Atlas;
 use crate::texture::{Filter, Format};
 use crate::view::{Projection, View};
 use crate::view_state::ViewState;
@@ -589,4 +590,37 @@ fn straight_below_the_upper_half_the_pictures_up_decides() {
         let view = View::new(DVec3::NEG_Y * 9.0, DVec3::ZERO, up, projection, (8, 8), 0.01);
         assert_eq!(lod.mixed(&view.expect("valid")), [(frame, 1.0)], "up is {up}");
     }
+}
+
+#[test]
+fn as_many_texels_are_taken_as_fit_into_one_texture() {
+    let crown = plant(&random_crown(10));
+    let refused = |with: Params| {
+        OctahedralImpostor::build(&crown, &with, &Job::default()).expect_err("refused")
+    };
+    // what the page states; 2^26 texels are 8192 x 8192, with borders of 1 to 64 texels
+    for (side, hemisphere, most) in [
+        (2, true, 3968),
+        (8, true, 960),
+        (64, true, 120),
+        (3, false, 3200),
+        (8, false, 1088),
+        (64, false, 124),
+    ] {
+        let grid = Grid::new(side, hemisphere).expect("in range");
+        let stand_ins = grid.stand_ins();
+        let count = (0..stand_ins.len()).filter(|&frame| stand_ins[frame] == frame).count();
+        let fits = Atlas::new("resolution", &vec![(most, most); count]);
+        assert!(fits.is_ok(), "{side} {hemisphere}: {most} fit");
+        let error = refused(Params { grid, resolution: most + 1, ..params(3, 8) });
+        let is_limit = matches!(error, LodError::Limit { name: "resolution", .. });
+        assert!(is_limit, "{side} {hemisphere}: {error}");
+    }
+    // cameras that need few texels may be asked for with any number that one frame could have
+    let far = perspective(DVec3::Z * 400.0, DVec3::ZERO, DVec3::Y);
+    let seen = |resolution: u32| Params { views: Some(vec![far.clone()]), ..params(3, resolution) };
+    let texels = build(&crown, &seen(8192)).textures()[0].texture.levels()[0].texels.len();
+    assert!(texels < 64, "as many as the camera has pixels: {texels}");
+    let error = refused(seen(8193));
+    assert!(matches!(error, LodError::Limit { name: "resolution", .. }), "{error}");
 }
