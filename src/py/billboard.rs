@@ -103,9 +103,10 @@ impl Billboard {
 
     /// The quads of a copy that stands where the plant's file put it: of each, the picture's number,
     /// its fade, and its corners (4, 3) in the world.
-    fn quads(&self, camera: CameraFacts) -> PyResult<Vec<QuadFacts>> {
+    fn quads(&self, py: Python<'_>, camera: CameraFacts) -> PyResult<Vec<QuadFacts>> {
         let crown = Crown::alone(DAffine3::from_translation(self.inner.origin()));
-        let quads: Vec<Quad> = self.inner.quads(&camera.view()?, &crown)?;
+        let view = camera.view()?;
+        let quads: Vec<Quad> = py.detach(|| self.inner.quads(&view, &crown))?;
         let facts = |quad: Quad| {
             let corners = quad.corners.map(|corner| corner.to_array());
             (quad.number, quad.fade, corners)

@@ -79,13 +79,16 @@ impl OctahedralImpostor {
     }
 
     /// Frames and weights that a camera sees.
-    fn mixed(&self, camera: CameraFacts) -> PyResult<Vec<(usize, f64)>> {
-        Ok(self.inner.mixed(&camera.view()?))
+    fn mixed(&self, py: Python<'_>, camera: CameraFacts) -> PyResult<Vec<(usize, f64)>> {
+        let view = camera.view()?;
+        Ok(py.detach(|| self.inner.mixed(&view)))
     }
 
     /// The same under another light.
-    fn relit(&self, lighting: LightingFacts) -> PyResult<Self> {
-        Ok(Self { inner: Arc::new(self.inner.relit(&lighting.into())?) })
+    fn relit(&self, py: Python<'_>, lighting: LightingFacts) -> PyResult<Self> {
+        let lighting = lighting.into();
+        let inner = py.detach(|| self.inner.relit(&lighting))?;
+        Ok(Self { inner: Arc::new(inner) })
     }
 
     /// What is known of the frames, by name.
