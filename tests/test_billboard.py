@@ -157,32 +157,53 @@ def middle_of(color):
     return [float((alpha * places).sum() / alpha.sum()) for places in (columns, rows)]
 
 
+PATTERN = 0.016
+"""Five standard deviations of the share of 40 x 40 x 16 samples that a fade picks, at one half."""
+
+
+def shares_shown(color, alone):
+    """Of each of two pictures, one red and one green, the share of every pixel's samples."""
+    return [color[..., k] / alone[k][..., k].max() for k in (0, 1)]
+
+
 def test_two_pictures_sum_to_the_whole():
     # from all sides a full square, so that a sample without a picture would show
     side = [((0, 0, z), (1, 0, 0), (0, 1, 0)) for z in (-1, 1)]
     front = [((x, 0, 0), (0, 0, 1), (0, 1, 0)) for x in (-1, 1)]
     plant = crown(side + front, [(1, 0, 0, 1)] * 2 + [(0, 1, 0, 1)] * 2)
+    # light from everywhere, so that a picture is of one colour
+    plant = plant.lit(tl.Lighting(sun=(0, 0, 0), sky=(0.5,) * 3, ground=(0.5,) * 3))
+
+    def camera_at(azimuth):
+        angle = np.radians(azimuth)
+        eye = (9 * np.sin(angle), 0, 9 * np.cos(angle))
+        return tl.Camera.orthographic(eye, (0, 0, 0), height=1.5, size=(40, 40))
+
     for drawing in ("test", "coverage", "blend"):
         lod = tl.Billboard.build(plant, view_blend="cross_fade", drawing=drawing, **SMALL)
+        # each picture by itself, which is of one colour
+        alone = [tl.render(lod, camera_at(azimuth), samples=16).color for azimuth in (0, 90)]
+        for k, color in enumerate(alone):
+            assert color[..., k].min() == pytest.approx(color[..., k].max(), rel=1e-6)
+            assert color[..., k].min() > 0.1
+            assert color[..., 1 - k].max() == 0
+        shown = {}
         for azimuth in (15, 30, 60):
-            angle = np.radians(azimuth)
-            eye = (9 * np.sin(angle), 0, 9 * np.cos(angle))
-            camera = tl.Camera.orthographic(eye, (0, 0, 0), height=1.5, size=(40, 40))
-            share = azimuth / 90
+            camera, share = camera_at(azimuth), azimuth / 90
             quads = {quad.picture: quad.share for quad in lod.quads(camera)}
             assert quads == {0: pytest.approx(1 - share), 1: pytest.approx(share)}
-            color = tl.render(lod, camera, samples=16).color
-            np.testing.assert_allclose(color[..., 3], 1.0, atol=0.01)
-            red, green = color[..., :2].reshape(-1, 2).mean(axis=0)
-            sides = [lod.quads(camera.at(0))[k] for k in (0, 1)]
-            assert len(sides) == 2
-            alone = tl.render(
-                tl.Billboard.build(plant, drawing=drawing, **SMALL), camera, samples=16
-            ).color
-            whole = alone[..., :2].sum(axis=2).mean()
-            # 25,600 samples: five standard deviations of a share are 0.016
-            assert red / (red + green) == pytest.approx(1 - share, abs=0.05)
-            assert whole > 0.1
+            shown[azimuth] = tl.render(lod, camera, samples=16).color
+            # every sample shows one picture or the other: the sums are exact but for float32
+            np.testing.assert_allclose(shown[azimuth][..., 3], 1.0, atol=1e-6)
+            shares = shares_shown(shown[azimuth], alone)
+            np.testing.assert_allclose(sum(shares), 1.0, atol=1e-5)
+            np.testing.assert_allclose(shares[0] * 16, np.rint(shares[0] * 16), atol=1e-3)
+            assert shares[0].mean() == pytest.approx(1 - share, abs=PATTERN)
+        # the control: shares of two patterns that do not fit together
+        mixed = np.stack([shown[30][..., 0], shown[60][..., 1]], axis=-1)
+        wrong = shares_shown(mixed, alone)
+        assert np.abs(sum(wrong) - 1).max() > 1 / 16 - 1e-3
+        assert abs(wrong[0].mean() - (1 - 60 / 90)) > 10 * PATTERN
 
 
 def test_a_wall_in_the_wind_keeps_its_foot():

@@ -306,7 +306,7 @@ pub(super) fn take(
         });
         job.advance();
     }
-    Ok((pictures, bake::stored(levels, params.format, job)?.bounded()))
+    Ok((pictures, bake::stored(levels, params.format, job)?))
 }
 
 /// The list that draws a plant as it is.
