@@ -39,6 +39,9 @@ MAKERS = {
     "layers that turn": lambda p: tl.LayeredBillboards.build(p, resolution=32, turn="viewer"),
     "pruning": tl.StochasticPruning.build,
     "pruning, few leaves": lambda p: tl.StochasticPruning.build(p).at(kept_share=0.02),
+    "octahedral impostor": lambda p: tl.OctahedralImpostor.build(p, frame_count=4, resolution=16),
+    "points and lines": tl.PointsAndLines.build,
+    "points and lines, few points": lambda p: tl.PointsAndLines.build(p, sample_distance_px=64),
     "hierarchy": tl.FoliageHierarchy.build,
     "hierarchy, few leaves": lambda p: coarsest(tl.FoliageHierarchy.build(p)),
 }
@@ -64,7 +67,12 @@ def test_some_techniques_draw_below_the_foot():
     # the control: without a foot of their own these would stand elsewhere
     plant = random_crown()
     ground = plant.bounds[0][1]
-    for name in ("layers that turn", "pruning, few leaves", "hierarchy, few leaves"):
+    for name in (
+        "layers that turn",
+        "pruning, few leaves",
+        "hierarchy, few leaves",
+        "octahedral impostor",
+    ):
         low, _ = tl.Scene([(MAKERS[name](plant), None)]).bounds
         assert low[1] < ground - 0.05, name
 
