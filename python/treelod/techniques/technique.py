@@ -198,10 +198,12 @@ def whole(name: str, value: int, low: int = 1, end: int = 2**32) -> int:
     ValueError
         If it is out of range.
     """
+    msg = f"{name} must be a whole number, got {value!r}"
+    if isinstance(value, bool):
+        raise TypeError(msg)
     try:
         count = operator.index(value)
     except TypeError:
-        msg = f"{name} must be a whole number, got {value!r}"
         raise TypeError(msg) from None
     if not low <= count < end:
         bound = f"2**{end.bit_length() - 1}" if end.bit_count() == 1 else str(end)
@@ -230,13 +232,15 @@ def number(name: str, value: float) -> float:
     TypeError
         If it is no number.
     """
-    if isinstance(value, str | bytes | bool):
-        msg = f"{name} must be a number, got {value!r}"
+    msg = f"{name} must be a number, got {value!r}"
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    # all of which float() would take, or the real part of
+    if isinstance(value, str | bytes | bool | np.bool_ | np.ndarray | np.complexfloating):
         raise TypeError(msg)
     try:
         return float(value)
     except (TypeError, ValueError):
-        msg = f"{name} must be a number, got {value!r}"
         raise TypeError(msg) from None
 
 
@@ -278,12 +282,7 @@ def whole_numbers(name: str, value: int | Sequence[int]) -> list[int]:
     ValueError
         If a number is out of range.
     """
-    if isinstance(value, str):
-        msg = f"{name} must be a number or a sequence of numbers, got {value!r}"
-        raise TypeError(msg)
-    if is_many(value):
-        return [whole(name, count) for count in value]
-    return [whole(name, value)]  # type: ignore[arg-type]
+    return [whole(name, count) for count in _each(name, value)]
 
 
 def numbers(name: str, value: float | Sequence[float]) -> list[float]:
@@ -303,14 +302,20 @@ def numbers(name: str, value: float | Sequence[float]) -> list[float]:
 
     Raises
     ------
-    ValueError
+    TypeError
         If it is anything else.
     """
-    given = np.asarray(value)
-    if given.ndim > 1 or given.dtype.kind not in "iuf":
+    return [number(name, each) for each in _each(name, value)]
+
+
+def _each(name: str, value: object) -> list[Any]:
+    """Members of an argument that is one number or several; each is still to be looked at."""
+    if isinstance(value, str | bytes) or (isinstance(value, np.ndarray) and value.ndim > 1):
         msg = f"{name} must be a number or a sequence of numbers, got {value!r}"
-        raise ValueError(msg)
-    return [float(each) for each in np.atleast_1d(given)]
+        raise TypeError(msg)
+    if isinstance(value, np.ndarray):
+        return [*np.atleast_1d(value)]
+    return [*value] if is_many(value) else [value]
 
 
 def core_of(plant: object) -> _core.Plant:
@@ -407,13 +412,17 @@ def resolution_texels(name: str, resolution: int | tuple[int, int]) -> tuple[int
 
     Raises
     ------
+    TypeError
+        If it is neither.
     ValueError
-        If it is neither, or a number is out of range.
+        If there are not two numbers, or one is out of range.
     """
+    msg = f"{name} must be a number or (width, height), got {resolution!r}"
+    if isinstance(resolution, str | bytes):
+        raise TypeError(msg)
     if not isinstance(resolution, Sequence):
         side = whole(name, resolution)
         return side, side
-    if isinstance(resolution, str) or len(resolution) != 2:
-        msg = f"{name} must be a number or (width, height), got {resolution!r}"
+    if len(resolution) != 2:
         raise ValueError(msg)
     return whole(name, resolution[0]), whole(name, resolution[1])
