@@ -137,6 +137,9 @@ def comparison(labels=("full_mesh", "slicings"), distances=(2.5, 10.0), picture_
             "warmup": 2,
             "threads": 2,
             "ppd": 67.02,
+            "backend": "cpu",
+            "adapter": None,
+            "driver": None,
         },
         source={"file": "oak.glb", "sha256": "00ff" * 16},
         provenance=Provenance(

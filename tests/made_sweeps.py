@@ -110,6 +110,6 @@ class Spans:
 def record(monkeypatch):
     """Record the spans of errors and of times in this process's workers."""
     spans = Spans()
-    for kind in ("error_frames", "time_frames"):
+    for kind in ("error_frames", "frame_times"):
         monkeypatch.setattr(worker, kind, spans.around(kind, getattr(worker, kind)))
     return spans

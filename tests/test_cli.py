@@ -49,7 +49,7 @@ def test_help_does_not_wait_for_large_libraries():
     assert done.stderr == "set()\n"
 
 
-@pytest.mark.parametrize("command", ["compare", "demo", "grow", "validate"])
+@pytest.mark.parametrize("command", ["compare", "demo", "grow", "sweep", "validate", "walk"])
 def test_help_explains_every_option(run, command):
     done = run(command, "--help")
     assert done.exit_code == 0

@@ -155,7 +155,7 @@ SPOILED = {
     "a folder": "is skipped: it is damaged",
     "of another program": "is skipped: it was not written by a sweep",
     "of another cell": "is skipped: it belongs to another cell than its name says",
-    "of another version": "is skipped: it has version 99, not 2",
+    "of another version": "is skipped: it has version 99, not 3",
     "of another magic": "is skipped: it was not written by a sweep",
     "with other parameters given": "its row is not the one that was written",
     "with a renamed column": "its row is not the one that was written",
@@ -259,7 +259,7 @@ def test_folders_of_others_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"magic": "treelod sweep", "version": 1}', "has version 1; this treelod reads 2"),
+        ('{"magic": "treelod sweep", "version": 1}', "has version 1; this treelod reads 3"),
         ('{"magic": "other", "version": 1}', r"store\.json is not a sweep's"),
         ("{}", r"store\.json is not a sweep's"),
         ("[]", r"store\.json is not a sweep's"),

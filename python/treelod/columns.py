@@ -46,6 +46,7 @@ TIME_COLUMNS = (
     "frame_millis_min",
     "frame_millis_max",
     "speedup",
+    "gpu_millis",
 )
 """Columns that are null where nothing was timed."""
 
@@ -159,7 +160,9 @@ def error_columns(errors: Errors, error_samples: int) -> dict[str, Any]:
 
 
 def time_columns(
-    frame_millis: NDArray[np.float64] | None, base_millis: float | None = None
+    frame_millis: NDArray[np.float64] | None,
+    base_millis: float | None = None,
+    gpu_millis: NDArray[np.float64] | None = None,
 ) -> dict[str, Any]:
     """
     Return how long frames took.
@@ -170,6 +173,9 @@ def time_columns(
         Times in milliseconds; None where nothing was timed.
     base_millis : float, optional
         The full mesh's median from the same camera.
+    gpu_millis : ndarray of shape (repeats,), dtype float64, optional
+        What the graphics card says that it took itself, in milliseconds. Default: there is none,
+        or it does not tell.
 
     Returns
     -------
@@ -187,6 +193,7 @@ def time_columns(
         "frame_millis_min": float(frame_millis.min()),
         "frame_millis_max": float(frame_millis.max()),
         "speedup": base_millis / float(median),
+        "gpu_millis": None if gpu_millis is None else float(np.median(gpu_millis)),
     }
 
 
@@ -276,7 +283,8 @@ def typed(table: pd.DataFrame) -> pd.DataFrame:
     """
     return table.astype(
         dict.fromkeys(_OPTIONAL_FLOATS, "float64")
-        | {"seed": "Int64", "git_commit": "string", "plant_sha256": "string"}
+        | dict.fromkeys(("adapter", "driver", "git_commit", "plant_sha256"), "string")
+        | {"seed": "Int64"}
     )
 
 

@@ -5,6 +5,9 @@ The truth is the full mesh at many samples a pixel. Errors and times come from d
 technique's *error frame* has as many samples as the truth, so its error is the technique's and not
 the sampling's; its *time frames* have the few samples that an application would use. The full mesh
 at those few samples is a row of its own, whose error is aliasing alone.
+
+A graphics card may draw the time frames. Truth and error frames are always the processor's, so
+errors do not depend on the card.
 """
 
 from __future__ import annotations
@@ -22,14 +25,22 @@ from treelod.cameras import Camera, default_cameras, orbit
 from treelod.color import composite, linear_from_srgb, quantize, srgb_from_linear
 from treelod.plants import Plant
 from treelod.provenance import provenance
-from treelod.render import check_size, render, sample_count, thread_count, time_frames
+from treelod.render import (
+    check_backend,
+    check_size,
+    frame_times,
+    opened_card,
+    render,
+    sample_count,
+    thread_count,
+)
 from treelod.results import Bake, Comparison, Picture, Row, View
 from treelod.techniques import REGISTRY, FullMesh, Technique
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from treelod.render import Frame
+    from treelod.render import Frame, Times
 
 __all__ = [
     "Progress",
@@ -65,6 +76,8 @@ def compare_techniques(
     yee: bool = False,
     source: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
+    backend: str = "cpu",
+    adapter: str | None = None,
 ) -> Comparison:
     """
     Build techniques for a plant, draw them from every camera, and measure errors and times.
@@ -100,6 +113,11 @@ def compare_techniques(
     progress : callable, optional
         Called with the stage ("building", "baking LABEL", "reference frames", "error frames" or
         "timing"), how many of its steps are done, and how many there are.
+    backend : {'cpu', 'gpu'}, default 'cpu'
+        What draws the frames that are timed: the processor, or a graphics card. Errors, and the
+        counts of what is drawn, are the processor's with either.
+    adapter : str, optional
+        Which graphics card, with ``backend="gpu"``, as in `render`.
 
     Returns
     -------
@@ -112,6 +130,10 @@ def compare_techniques(
         If a technique is unknown, a parameter is out of range, or there is no camera.
     TypeError
         If a technique has no such parameter.
+    NoAdapterError
+        If there is no graphics card of that name, or none at all; before anything is built.
+    DeviceError
+        If the graphics card was lost, ran out of memory or refused a command.
     """
     report = progress or (lambda _stage, _done, _total: None)
     views = [View.of(plant, i, c) for i, c in enumerate(_checked(plant, cameras))]
@@ -125,6 +147,8 @@ def compare_techniques(
     metrics.check_ppd(ppd)
     for view in views:
         check_size(view.camera.size)
+    check_backend(backend, adapter)
+    card, driver = opened_card(adapter) if backend == "gpu" else (None, None)
     built = _build(plant, techniques, report, threads)
     full = built[FullMesh.name]
     keep = _kept_views(views)
@@ -159,13 +183,19 @@ def compare_techniques(
                 report("error frames", done, error_frame_count)
         del truth
 
-    times: dict[tuple[str, int], NDArray[np.float64]] = {}
+    times: dict[tuple[str, int], Times] = {}
     for view in views:
-        millis = time_frames(
-            built, view.camera, samples=samples, warmup=warmup, repeats=repeats, threads=threads
+        found = frame_times(
+            built,
+            view.camera,
+            samples=samples,
+            warmup=warmup,
+            repeats=repeats,
+            threads=threads,
+            backend=backend,
+            adapter=adapter,
         )
-        for label, values in millis.items():
-            times[label, view.index] = np.asarray(values, dtype=np.float64)
+        times |= {(label, view.index): of_label for label, of_label in found.items()}
         report("timing", view.index + 1, len(views))
 
     rows = {
@@ -174,8 +204,9 @@ def compare_techniques(
             view=view,
             errors=measured[label, view.index][0],
             error_samples=measured[label, view.index][1],
-            frame_millis=times[label, view.index],
+            frame_millis=times[label, view.index].frame_millis,
             stats=measured[label, view.index][2],
+            gpu_millis=times[label, view.index].gpu_millis,
         )
         for label in built
         for view in views
@@ -210,6 +241,9 @@ def compare_techniques(
             "warmup": warmup,
             "threads": drawn_threads,
             "ppd": ppd,
+            "backend": backend,
+            "adapter": card,
+            "driver": driver,
         },
         source=dict(source or {}),
         provenance=provenance(),
@@ -225,7 +259,7 @@ def error_frames(
     threads: int | None,
 ) -> tuple[Frame, Frame, int]:
     """
-    Draw the frame that is timed, and the one whose error is the technique's.
+    Draw a frame as it is timed, and the one whose error is the technique's, on the processor.
 
     Parameters
     ----------

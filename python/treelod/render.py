@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from treelod import _core
+from treelod.cameras import Camera
 from treelod.color import composite, quantize, srgb_from_linear
 from treelod.errors import LimitError
 from treelod.scenes import Scene
@@ -23,7 +24,6 @@ from treelod.scenes import Scene
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from treelod.cameras import Camera
     from treelod.techniques.technique import Technique
 
 __all__ = [
@@ -319,24 +319,78 @@ def time_frames(
     NoAdapterError, DeviceError
         As in `render`.
     """
+    times = frame_times(
+        subjects,
+        camera,
+        samples=samples,
+        warmup=warmup,
+        repeats=repeats,
+        threads=threads,
+        backend=backend,
+        adapter=adapter,
+    )
+    return {label: of_label.frame_millis for label, of_label in times.items()}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Times:
+    """
+    What timed frames of one subject took, and what drew them.
+
+    Attributes
+    ----------
+    frame_millis : ndarray of shape (repeats,), dtype float64
+        As `time_frames` returns them.
+    gpu_millis : ndarray of shape (repeats,), dtype float64, or None
+        What the graphics card says that it took itself; None on the processor, and for cards that
+        do not tell.
+    adapter, driver : str or None
+        The graphics card's name and its driver; None on the processor.
+    """
+
+    frame_millis: NDArray[np.float64]
+    gpu_millis: NDArray[np.float64] | None
+    adapter: str | None
+    driver: str | None
+
+
+def frame_times(
+    subjects: Mapping[str, Technique | Scene],
+    camera: Camera,
+    *,
+    samples: int,
+    warmup: int,
+    repeats: int,
+    threads: int | None,
+    backend: str,
+    adapter: str | None,
+) -> dict[str, Times]:
+    """Time frames as `time_frames` does, and tell what drew them."""
     check_backend(backend, adapter)
     if operator.index(warmup) < 0 or operator.index(repeats) < 1:
         msg = f"warmup must be at least 0 and repeats at least 1, got {warmup} and {repeats}"
         raise ValueError(msg)
     samples, threads = sample_count(samples), thread_count(threads)
     facts = camera_facts(camera)
-    runs = {
-        label: (_core.Renderer(), _scene(subject)._core, np.empty(repeats))
-        for label, subject in subjects.items()
-    }
+    runs = {label: (_core.Renderer(), _scene(subject)._core) for label, subject in subjects.items()}
+    found: dict[str, list[dict[str, Any]]] = {label: [] for label in runs}
     for turn in range(-warmup, repeats):
-        for renderer, scene, millis in runs.values():
+        for label, (renderer, scene) in runs.items():
             stats = renderer.time(
                 scene, facts, samples=samples, threads=threads, backend=backend, adapter=adapter
             )
             if turn >= 0:
-                millis[turn] = stats["emit_millis"] + stats["draw_millis"]
-    return {label: millis for label, (_, _, millis) in runs.items()}
+                found[label].append(stats)
+    return {label: _times(frames) for label, frames in found.items()}
+
+
+def opened_card(adapter: str | None) -> tuple[str, str]:
+    """Draw nothing on a graphics card, to refuse one that is not there; return name and driver."""
+    camera = Camera.perspective((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), size=(1, 1))
+    stats = render(Scene([]), camera, backend="gpu", adapter=adapter, samples=1).stats
+    assert stats.adapter is not None, "a card says its name"
+    assert stats.driver is not None, "a card says its driver"
+    return stats.adapter, stats.driver
 
 
 def check_size(size: tuple[int, int]) -> None:
@@ -420,6 +474,16 @@ def _background(background: Sequence[float] | None) -> tuple[float, float, float
         raise ValueError(msg)
     red, green, blue = (float(channel) for channel in color[:3])
     return (red, green, blue, float(color[3]) if len(color) == 4 else 1.0)
+
+
+def _times(frames: Sequence[Mapping[str, Any]]) -> Times:
+    cards = [frame["gpu_millis"] for frame in frames]
+    return Times(
+        frame_millis=np.array([frame["emit_millis"] + frame["draw_millis"] for frame in frames]),
+        gpu_millis=None if None in cards else np.array(cards),
+        adapter=frames[-1]["adapter"],
+        driver=frames[-1]["driver"],
+    )
 
 
 def _stats(facts: Mapping[str, Any], samples: int) -> Stats:

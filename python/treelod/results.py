@@ -143,7 +143,10 @@ class Row:
     frame_millis : ndarray of shape (repeats,), dtype float64
         Times of the frames that were timed, in milliseconds.
     stats : object
-        Counts of a frame at the timed sample count; see ``Frame.stats``.
+        Counts of a frame at the timed sample count, drawn by the processor; see ``Frame.stats``.
+    gpu_millis : ndarray of shape (repeats,), dtype float64, or None, default None
+        What the graphics card says that it took itself, in milliseconds; None where the processor
+        draws, and for cards that do not tell.
     """
 
     label: str
@@ -152,6 +155,7 @@ class Row:
     error_samples: int
     frame_millis: NDArray[np.float64]
     stats: Any
+    gpu_millis: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,7 +207,8 @@ class Comparison:
     pictures : list of Picture
         For every technique from a near and a far camera and from the one where it is worst.
     settings : dict of str to object
-        Samples, repeats, warm-up, threads, pixels a degree.
+        Samples, repeats, warm-up, threads, pixels a degree; ``backend``, and the graphics card's
+        ``adapter`` and ``driver`` (None on the processor).
     source : dict of str to object
         Where the plant came from: file and its SHA-256, or preset and seed.
     provenance : Provenance
@@ -232,6 +237,8 @@ class Comparison:
             One row a technique and camera. Times are milliseconds, sizes bytes, errors as in
             `metrics.Errors`; ``psnr`` is infinite where a picture equals the reference.
             ``speedup`` is the full mesh's median time over the row's, from the same camera.
+            ``backend``, ``adapter`` and ``driver`` say what drew the frames that were timed;
+            ``gpu_millis`` is the median of what the graphics card says that it took itself.
         """
         bakes = {bake.label: bake for bake in self.bakes}
         base_millis = {
@@ -250,7 +257,7 @@ class Comparison:
                 **bake_columns(bakes[row.label]),
                 **view_columns(row.view),
                 **error_columns(row.errors, row.error_samples),
-                **time_columns(row.frame_millis, base_millis[row.view.index]),
+                **time_columns(row.frame_millis, base_millis[row.view.index], row.gpu_millis),
                 **count_columns(row.stats),
                 **constants,
             }

@@ -21,7 +21,13 @@ import pandas as pd
 from treelod import _core
 from treelod.cameras import Camera
 from treelod.provenance import provenance
-from treelod.render import camera_facts, sample_count, thread_count
+from treelod.render import (
+    camera_facts,
+    check_backend,
+    opened_card,
+    sample_count,
+    thread_count,
+)
 from treelod.scenes import Scene, scatter
 from treelod.techniques.technique import Technique
 
@@ -73,7 +79,9 @@ class Walk:
         quickest and the slowest frame), ``emit_millis`` and ``draw_millis`` (medians alike);
         ``frame_millis_mean`` and ``frame_millis_worst``, the mean and `worst_case_millis` over the
         same frames (NaN where less than 10 windows of 20 frames are drawn); ``frames``, how many
-        frames of a lap were drawn.
+        frames of a lap were drawn; ``gpu_millis``, what the graphics card says that it took itself,
+        a median as ``frame_millis``; ``backend``, ``adapter`` and ``driver``, what drew. On the
+        processor the card's three are null.
     settings : dict
         What the walk was asked for.
     made : Provenance
@@ -294,6 +302,8 @@ def walk(
     seed: int = 0,
     threads: int | None = None,
     progress: Callable[[str, int, int], object] | None = None,
+    backend: str = "cpu",
+    adapter: str | None = None,
 ) -> Walk:
     """
     Go around or through growing groves of a plant, and count and time what each technique draws.
@@ -335,6 +345,10 @@ def walk(
         Threads that draw. Default: ``TREELOD_NUM_THREADS``, else all cores.
     progress : callable, optional
         Called as ``progress("walking", done, total)`` with frames.
+    backend : {'cpu', 'gpu'}, default 'cpu'
+        What draws: the processor, or a graphics card.
+    adapter : str, optional
+        Which graphics card, with ``backend="gpu"``, as in `treelod.render`.
 
     Returns
     -------
@@ -346,6 +360,8 @@ def walk(
         If an argument is out of range, or if there is no subject.
     TypeError
         If a subject is neither, or a callable returns no technique.
+    NoAdapterError, DeviceError
+        As in `treelod.render`.
 
     Examples
     --------
@@ -384,6 +400,8 @@ def walk(
         raise ValueError(msg)
     strides = _strides(subjects, every or {})
     samples, threads = sample_count(samples), thread_count(threads)
+    check_backend(backend, adapter)
+    card, driver = opened_card(adapter) if backend == "gpu" else (None, None)
     center, radius = plant.sphere
     if spacing is None:
         spacing = 1.5 * radius
@@ -411,7 +429,7 @@ def walk(
             for label, subject in subjects.items()
         }
         renderers = {label: _core.Renderer() for label in subjects}
-        stats: dict[str, list[list[dict[str, float]]]] = {label: [] for label in subjects}
+        stats: dict[str, list[list[dict[str, Any]]]] = {label: [] for label in subjects}
         for lap in range(-1, laps):
             for of_lap in stats.values():
                 of_lap.append([])
@@ -421,7 +439,14 @@ def walk(
                     if index // WINDOW_FRAMES % strides[label]:
                         continue
                     scene = scenes[label][index]
-                    found = renderer.time(scene._core, facts, samples=samples, threads=threads)
+                    found = renderer.time(
+                        scene._core,
+                        facts,
+                        samples=samples,
+                        threads=threads,
+                        backend=backend,
+                        adapter=adapter,
+                    )
                     stats[label][lap + 1].append(found)
                 done += 1
                 if progress is not None:
@@ -440,8 +465,14 @@ def walk(
         "samples": samples,
         "seed": seed,
         "threads": int(found["threads"]),
+        "backend": backend,
+        "adapter": card,
+        "driver": driver,
     }
-    return Walk(plant=plant.name, table=pd.DataFrame(rows), settings=settings, made=provenance())
+    table = pd.DataFrame(rows).assign(backend=backend, adapter=card, driver=driver)
+    # of their type also where all are null, so that files can be joined
+    table = table.astype({"adapter": "string", "driver": "string"})
+    return Walk(plant=plant.name, table=table, settings=settings, made=provenance())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -502,9 +533,10 @@ def _scenes(
     return scenes
 
 
-def _row(label: str, tree_count: int, laps: list[list[dict[str, float]]]) -> dict[str, Any]:
+def _row(label: str, tree_count: int, laps: list[list[dict[str, Any]]]) -> dict[str, Any]:
     def of(kind: str) -> NDArray[np.float64]:
-        return np.array([[frame[kind] for frame in lap] for lap in laps])
+        # null where the processor draws becomes NaN
+        return np.array([[frame[kind] for frame in lap] for lap in laps], dtype=np.float64)
 
     counts = {kind: of(kind)[0] for kind in KINDS}
     primitives = np.sum(list(counts.values()), axis=0)
@@ -526,4 +558,5 @@ def _row(label: str, tree_count: int, laps: list[list[dict[str, float]]]) -> dic
         "frame_millis_worst": worst,
         "emit_millis": float(np.median(np.median(emit, axis=0))),
         "draw_millis": float(np.median(np.median(draw, axis=0))),
+        "gpu_millis": float(np.median(np.median(of("gpu_millis"), axis=0))),
     }

@@ -17,11 +17,14 @@ from treelod.cameras import (
 )
 from treelod.cli.app import app
 from treelod.cli.options import (
+    AdapterName,
+    Backend,
     LeafCount,
     PlantName,
     ReportFolder,
     Seed,
     Threads,
+    TimedBackend,
     Verbose,
     all_techniques,
     frame_size_of,
@@ -30,6 +33,7 @@ from treelod.cli.options import (
 )
 from treelod.cli.subjects import subject_of
 from treelod.cli.summaries import print_summary
+from treelod.render import check_backend, opened_card
 from treelod.techniques import REGISTRY, FullMesh
 from treelod.terminal import Stages, reported
 
@@ -116,6 +120,8 @@ def compare(
         typer.Option("--yee", help="Also measure Yee's metric, a column of results.csv: slow."),
     ] = False,
     threads: Threads = None,
+    backend: TimedBackend = Backend.CPU,
+    adapter: AdapterName = None,
     seed: Seed = None,
     leaf_count: LeafCount = None,
     verbose: Verbose = False,
@@ -131,7 +137,7 @@ def compare(
     distance_values = numbers("--distances", distances)
     frame_size = frame_size_of(size)
     with reported(verbose=verbose), Stages() as stages:
-        measure = _measurement(output)
+        measure = _measurement(output, backend.value, adapter)
         subject, source = subject_of(
             stages, plant, foliage, unit, up, seed=seed, leaf_count=leaf_count
         )
@@ -168,6 +174,8 @@ def demo(
         bool, typer.Option("--small", help="Fewer leaves, views and pixels: seconds, not minutes.")
     ] = False,
     threads: Threads = None,
+    backend: TimedBackend = Backend.CPU,
+    adapter: AdapterName = None,
     verbose: Verbose = False,
 ) -> None:
     """
@@ -195,7 +203,7 @@ def demo(
         leaf_count, reference_samples = None, 64
         techniques = all_techniques()
     with reported(verbose=verbose), Stages() as stages:
-        measure = _measurement(output)
+        measure = _measurement(output, backend.value, adapter)
         subject, source = subject_of(stages, DEMO_PRESET, leaf_count=leaf_count)
         comparison, page = measure(
             subject,
@@ -209,16 +217,23 @@ def demo(
     _show(comparison, page)
 
 
-def _measurement(folder: Path) -> Callable[..., tuple[Comparison, Path]]:
-    """Refuse a folder that cannot be written to; else return what compares and writes to it."""
+def _measurement(
+    folder: Path, backend: str, adapter: str | None
+) -> Callable[..., tuple[Comparison, Path]]:
+    """Return what compares and writes; refuse first what would end it after minutes."""
     # seconds of imports, which `--help` and mistyped options should not wait for
     from treelod.comparison import compare_techniques
     from treelod.report import check_folder, write_report
 
     check_folder(folder)
+    check_backend(backend, adapter)
+    if backend == "gpu":
+        opened_card(adapter)
 
     def measure(*arguments: Any, progress: Stages, **settings: Any) -> tuple[Comparison, Path]:
-        comparison = compare_techniques(*arguments, progress=progress, **settings)
+        comparison = compare_techniques(
+            *arguments, progress=progress, backend=backend, adapter=adapter, **settings
+        )
         progress("writing the report", 0, 1)
         page = write_report(comparison, folder)
         progress("writing the report", 1, 1)
@@ -230,5 +245,7 @@ def _measurement(folder: Path) -> Callable[..., tuple[Comparison, Path]]:
 def _show(comparison: Comparison, page: Path) -> None:
     """Print the table and the report's path."""
     title = f"{comparison.plant['name']}: medians and means over all views"
+    if comparison.settings["backend"] == "gpu":
+        title += f"; times of {comparison.settings['adapter']}"
     print_summary(title, comparison.summary(), comparison.settings["time_samples"])
     Console().print(Text(f"report: {page}"), soft_wrap=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,11 +14,14 @@ from treelod.plants import PRESETS
 from treelod.techniques import REGISTRY, FullMesh
 
 __all__ = [
+    "AdapterName",
+    "Backend",
     "LeafCount",
     "PlantName",
     "ReportFolder",
     "Seed",
     "Threads",
+    "TimedBackend",
     "Verbose",
     "all_techniques",
     "counts_of",
@@ -26,6 +30,14 @@ __all__ = [
     "technique_of",
     "value_of",
 ]
+
+
+class Backend(StrEnum):
+    """What draws the frames that are timed."""
+
+    CPU = "cpu"
+    GPU = "gpu"
+
 
 _NO_SETTINGS = {"progress", "threads", "views"}
 """What a build takes besides a technique's own parameters: options of the command, or objects."""
@@ -46,6 +58,22 @@ Verbose = Annotated[
 Threads = Annotated[
     int | None,
     typer.Option("--threads", min=1, show_default="all cores", help="Threads that draw."),
+]
+TimedBackend = Annotated[
+    Backend,
+    typer.Option(
+        "--backend",
+        help="What draws the frames that are timed.",
+    ),
+]
+AdapterName = Annotated[
+    str | None,
+    typer.Option(
+        "--adapter",
+        metavar="NAME",
+        show_default="TREELOD_ADAPTER, else the first",
+        help="Which graphics card, by a part of its name or by its kind; `treelod gpu` lists them.",
+    ),
 ]
 Seed = Annotated[
     int | None, typer.Option("--seed", min=0, show_default="1", help="Seed of a grown plant.")

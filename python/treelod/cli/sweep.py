@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from treelod.cli.app import app
-from treelod.cli.options import Threads, Verbose
+from treelod.cli.options import AdapterName, Backend, Threads, Verbose
 from treelod.cli.summaries import print_summary
 from treelod.terminal import Stages, reported
 
@@ -51,6 +51,15 @@ def sweep(
         bool, typer.Option("--keep-going", help="Go on where a cell fails; exit code 1 at the end.")
     ] = False,
     threads: Threads = None,
+    backend: Annotated[
+        Backend | None,
+        typer.Option(
+            "--backend",
+            show_default="the file's, else cpu",
+            help="What draws the frames that are timed.",
+        ),
+    ] = None,
+    adapter: AdapterName = None,
     verbose: Verbose = False,
 ) -> None:
     """
@@ -72,13 +81,18 @@ def sweep(
             scheduler=scheduler,
             timing=timing,
             threads=threads,
+            backend=None if backend is None else backend.value,
+            adapter=adapter,
             goes_on=keep_going,
             progress=stages,
         )
     for plant in table["plant"].unique():
         summary = table[table["plant"] == plant].summary()
         samples = int(table["time_samples"].iloc[0])
-        print_summary(f"{plant}: medians and means over all views", summary, samples)
+        title = f"{plant}: medians and means over all views"
+        if table["adapter"].notna().any():
+            title += f"; times of {table['adapter'].dropna().iloc[0]}"
+        print_summary(title, summary, samples)
     failed = table.attrs["failed"]
     for loss in failed[:10]:
         where = f"{loss['plant']}, {loss['technique']}, view {loss['view']}"

@@ -13,11 +13,14 @@ from rich.text import Text
 
 from treelod.cli.app import app
 from treelod.cli.options import (
+    AdapterName,
+    Backend,
     LeafCount,
     PlantName,
     ReportFolder,
     Seed,
     Threads,
+    TimedBackend,
     Verbose,
     all_techniques,
     counts_of,
@@ -25,6 +28,7 @@ from treelod.cli.options import (
     technique_of,
 )
 from treelod.cli.subjects import subject_of
+from treelod.render import check_backend, opened_card
 from treelod.techniques import REGISTRY, FullMesh
 from treelod.terminal import Stages, reported
 
@@ -96,6 +100,8 @@ def walk(
     ] = None,
     samples: Annotated[int, typer.Option("--samples", min=1, help="Samples a pixel.")] = 4,
     threads: Threads = None,
+    backend: TimedBackend = Backend.CPU,
+    adapter: AdapterName = None,
     seed: Seed = None,
     leaf_count: LeafCount = None,
     verbose: Verbose = False,
@@ -119,6 +125,9 @@ def walk(
         from treelod.report.walk import write_walk
 
         check_folder(output)
+        check_backend(backend.value, adapter)
+        if backend is Backend.GPU:
+            opened_card(adapter)
         subject, _ = subject_of(stages, plant, seed=seed, leaf_count=leaf_count)
         built = {}
         for done, (label, params) in enumerate(wanted.items()):
@@ -136,12 +145,17 @@ def walk(
             size=frame_size,
             samples=samples,
             threads=threads,
+            backend=backend.value,
+            adapter=adapter,
             progress=stages,
         )
         page = write_walk(found, output)
     console = Console(width=None if Console().is_terminal else 160)
     way = "around" if path is WalkPath.CIRCLE else "through"
-    table = Table(title=f"{found.plant}: {way} groves")
+    title = f"{found.plant}: {way} groves"
+    if found.settings["backend"] == "gpu":
+        title += f", on {found.settings['adapter']}"
+    table = Table(title=Text(title))
     table.add_column("technique", overflow="fold")
     for name in ("trees", "primitives", "frame ms", "worst case ms"):
         table.add_column(name, justify="right", no_wrap=True)

@@ -101,8 +101,8 @@ def check_columns(table: pd.DataFrame, *names: str) -> None:
 _SETTINGS = ("plant", "time_samples", "reference_samples", "ppd", "kernel_version")
 """Columns of which a mean over rows of several values would be of nothing."""
 
-_TIME_SETTINGS = ("timing", "threads")
-"""The same of times; errors are the same bits for every number of threads."""
+_TIME_SETTINGS = ("timing", "threads", "backend", "adapter")
+"""The same of times; errors are the same bits for every number of threads and graphics card."""
 
 
 def one_setting(table: pd.DataFrame, *, timed: bool = False, apart: str | None = None) -> None:

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import hashlib
 import operator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from treelod import metrics
-from treelod.render import sample_count, thread_count
+from treelod.render import check_backend, sample_count, thread_count
 from treelod.sweeps.parameters import canonical, written
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["STORE_VERSION", "Cell", "Settings", "Timing", "key_of", "whole"]
 
-STORE_VERSION = 2
+STORE_VERSION = 3
 """Rises when rows of an older store would mean something else."""
 
 Timing = Literal["shared", "exclusive", "none"]
@@ -51,6 +51,10 @@ class Settings:
         Pixels a degree of sight.
     yee : bool
         Whether Yee's metric is measured.
+    backend : {'cpu', 'gpu'}
+        What draws the frames that are timed; where none is, the processor.
+    adapter : str or None
+        Which graphics card: as it was asked for, until `on_card` names it in full.
     """
 
     samples: int
@@ -61,6 +65,8 @@ class Settings:
     threads: int | None
     ppd: float
     yee: bool
+    backend: str
+    adapter: str | None
 
     @classmethod
     def checked(
@@ -74,13 +80,15 @@ class Settings:
         threads: int | None = None,
         ppd: float = metrics.DEFAULT_PPD,
         yee: bool = False,
+        backend: str = "cpu",
+        adapter: str | None = None,
     ) -> Settings:
         """
         Refuse settings of another type or out of range.
 
         Parameters
         ----------
-        samples, reference_samples, repeats, warmup, timing, threads, ppd, yee
+        samples, reference_samples, repeats, warmup, timing, threads, ppd, yee, backend, adapter
             As `sweep` takes them.
 
         Returns
@@ -90,7 +98,7 @@ class Settings:
         Raises
         ------
         ValueError
-            If a number is out of range, or timing is no word of the three.
+            If a number is out of range, timing is no word of the three, or backend names nothing.
         TypeError
             If a value is of another type; the message names it.
         """
@@ -107,6 +115,7 @@ class Settings:
         if not isinstance(yee, bool | np.bool_):
             msg = f"yee must be True or False, got {yee!r}"
             raise TypeError(msg)
+        check_backend(backend, adapter)
         is_timed = timing != "none"
         count = sample_count(whole("samples", samples))
         try:
@@ -123,7 +132,25 @@ class Settings:
             threads=None if threads is None else thread_count(whole("threads", threads)),
             ppd=float(ppd),
             yee=bool(yee),
+            # a card draws nothing but what is timed
+            backend=backend if is_timed else "cpu",
+            adapter=adapter if is_timed else None,
         )
+
+    def on_card(self, name: str) -> Settings:
+        """
+        Name the graphics card in full: a part of the name may mean another one elsewhere.
+
+        Parameters
+        ----------
+        name : str
+            The card's.
+
+        Returns
+        -------
+        Settings
+        """
+        return replace(self, adapter=name)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -193,6 +220,8 @@ class Cell:
                 "warmup": settings.warmup,
                 "threads": settings.threads,
             }
+        if settings.backend != "cpu":
+            timing |= {"backend": settings.backend, "adapter": settings.adapter}
         identity = {
             "store": STORE_VERSION,
             "kernel": kernel_version,
@@ -214,6 +243,22 @@ class Cell:
             identity=identity,
             key=key_of(identity),
         )
+
+    def same_errors(self) -> list[str]:
+        """
+        Return the keys of rows whose errors are this cell's, if a graphics card is to be timed.
+
+        Returns
+        -------
+        list of str
+            Of the same cell timed on the processor, and of the same cell not timed. The processor
+            draws all frames that are measured, so errors do not depend on the card.
+        """
+        timing = self.identity["timing"]
+        if "backend" not in timing:
+            return []
+        here = {name: v for name, v in timing.items() if name not in ("backend", "adapter")}
+        return [key_of(self.identity | {"timing": other}) for other in (here, {"mode": "none"})]
 
 
 def whole(name: str, value: Any) -> int:

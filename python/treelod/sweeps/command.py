@@ -16,6 +16,7 @@ from treelod import plots
 from treelod.columns import without_infinity
 from treelod.errors import SweepWarning
 from treelod.files import atomic_write
+from treelod.render import opened_card
 from treelod.sweeps.config import check_settings, read_config
 from treelod.sweeps.driver import sweep
 from treelod.sweeps.results import PARAM
@@ -50,6 +51,8 @@ def run_config(
     threads: int | None,
     goes_on: bool,
     progress: Progress,
+    backend: str | None = None,
+    adapter: str | None = None,
 ) -> SweepResults:
     """
     Run the sweep of a file.
@@ -72,6 +75,8 @@ def run_config(
         Whether to go on where a cell fails.
     progress : callable
         Told how far each stage is.
+    backend, adapter : str, optional
+        In place of the file's.
 
     Returns
     -------
@@ -84,8 +89,17 @@ def run_config(
         settings["timing"] = cast("Timing", timing)
     if threads is not None:
         settings["threads"] = threads
+    if backend is not None:
+        settings["backend"] = backend
+        if backend == "cpu":
+            # the file's card is not asked for
+            settings.pop("adapter", None)
+    if adapter is not None:
+        settings["adapter"] = adapter
     # all that can be refused is, before plants are loaded for minutes
     check_settings(settings)
+    if scheduler is None and settings.get("backend") == "gpu" and settings.get("timing") != "none":
+        opened_card(settings.get("adapter"))
     with _executor(workers, scheduler) as executor, warnings.catch_warnings():
         if goes_on:
             # the command lists them itself

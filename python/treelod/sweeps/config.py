@@ -58,6 +58,8 @@ _SETTINGS = {
     "ppd",
     "yee",
     "retries",
+    "backend",
+    "adapter",
 }
 
 _CAMERAS = {"azimuths", "elevations", "distances", "size"}

@@ -19,7 +19,7 @@ import numpy as np
 
 from treelod import metrics
 from treelod.cameras import Camera, default_cameras
-from treelod.columns import source_columns
+from treelod.columns import source_columns, time_columns
 from treelod.comparison import Progress
 from treelod.errors import SweepError, SweepWarning
 from treelod.kernel_version import kernel_version
@@ -67,6 +67,8 @@ def sweep(
     on_error: Literal["raise", "record"] = "raise",
     sources: Mapping[str, Mapping[str, Any]] | None = None,
     progress: bool | Progress = True,
+    backend: str = "cpu",
+    adapter: str | None = None,
 ) -> SweepResults:
     """
     Measure every technique and parameter of a grid, for every plant, from every camera.
@@ -123,6 +125,11 @@ def sweep(
         Whether to show bars where the error stream is a terminal, and a line in a notebook; or what
         is called with a stage ("cells" or "timing"), how many of its steps are done, and how many
         there are.
+    backend : {'cpu', 'gpu'}, default 'cpu'
+        What draws the frames that are timed: the processor, or a graphics card. Errors, counts and
+        overdraw are the processor's with either.
+    adapter : str, optional
+        Which graphics card, with ``backend="gpu"``, as in `render`; that of each worker.
 
     Returns
     -------
@@ -140,6 +147,10 @@ def sweep(
         If the folder holds something else, or a worker runs other code.
     SweepError
         If a cell fails, with its plant, technique, parameters and view; if nobody is left to work.
+    NoAdapterError
+        If there is no graphics card of that name, or none at all; before anything is built.
+    DeviceError
+        If the graphics card does not open. One that fails later fails a cell.
 
     Warns
     -----
@@ -167,6 +178,8 @@ def sweep(
         threads=threads,
         ppd=ppd,
         yee=yee,
+        backend=backend,
+        adapter=adapter,
     )
     if whole("retries", retries) < 0:
         msg = f"retries must be at least 0, got {retries}"
@@ -182,15 +195,17 @@ def sweep(
     variants = expand(grid)
     views = {name: _views(plant, cameras) for name, plant in named.items()}
     _distinct(named)
-    cells = [
-        Cell.of(name, plant.digest, variant, view, settings, kernel_version())
-        for name, plant in named.items()
-        for variant in variants
-        for view in views[name]
-    ]
-    # who works is known before a folder is made
+    # who works, and with which card, is known before a folder is made
     crew = crew_of(executor, Store(store))
     try:
+        if settings.backend == "gpu":
+            settings = settings.on_card(crew.card(adapter))
+        cells = [
+            Cell.of(name, plant.digest, variant, view, settings, kernel_version())
+            for name, plant in named.items()
+            for variant in variants
+            for view in views[name]
+        ]
         opened = Store.open(store, make=True)
     except BaseException:
         crew.close(at_once=True)
@@ -238,6 +253,9 @@ class _Run:
                 if shard is not None:
                     self._shards[cell.key] = shard
             found = len(self._shards)
+            for cell in self._cells:
+                if cell.key not in self._shards:
+                    self._borrow(cell)
             self._run()
         except BaseException:
             worker.stop(self._name)
@@ -264,6 +282,17 @@ class _Run:
         }
         return table
 
+    def _borrow(self, cell: Cell) -> None:
+        """Take errors that are stored with other times: it remains to time the cell."""
+        for key in cell.same_errors():
+            shard = self._store.read(key)
+            if shard is not None:
+                settings = self._settings
+                row = shard.row | self._constants(cell) | time_columns(None)
+                row |= {"backend": settings.backend, "adapter": settings.adapter, "driver": None}
+                self._shards[cell.key] = Shard(row, cell.identity, [*cell.variant.given])
+                return
+
     def _run(self) -> None:
         missing = [cell for cell in self._cells if cell.key not in self._shards]
         timing = self._settings.timing
@@ -279,12 +308,14 @@ class _Run:
         needed = {cell.plant for cell in untimed}
         self._crew.bring(plant for name, plant in self._plants.items() if name in needed)
         self._stage("cells", missing, what, len(self._cells))
-        if timing == "exclusive" and (self._on_error == "record" or not self._losses):
-            untimed = [
-                cell
-                for cell in untimed
-                if cell.key in self._shards and not self._shards[cell.key].is_timed
-            ]
+        if self._losses and self._on_error != "record":
+            return
+        untimed = [
+            cell
+            for cell in untimed
+            if cell.key in self._shards and not self._shards[cell.key].is_timed
+        ]
+        if untimed or timing == "exclusive":
             self._stage("timing", untimed, "times", len(untimed))
 
     def _stage(
@@ -314,7 +345,7 @@ class _Run:
             lose=lose,
             retries=self._retries,
             goes_on=self._on_error == "record",
-            one_by_one=what == "times",
+            one_by_one=self._is_alone(what),
         ).run()
 
     def _job(self, cells: Sequence[Cell], what: Literal["all", "errors", "times"]) -> Job:
@@ -322,7 +353,7 @@ class _Run:
         threads = self._settings.threads
         if threads is None:
             # a cell that is timed alone has the machine to itself
-            threads = self._crew.threads(is_alone=what == "times")
+            threads = self._crew.threads(is_alone=self._is_alone(what))
         return worker.Job(
             plant_digest=first.plant_digest,
             plant_path=self._crew.plant_path(first.plant_digest),
@@ -334,6 +365,9 @@ class _Run:
             kernel_version=kernel_version(),
             sweep=self._name,
         )
+
+    def _is_alone(self, what: Literal["all", "errors", "times"]) -> bool:
+        return what == "times" and self._settings.timing == "exclusive"
 
     def _keep(self, cell: Cell, row: dict[str, Any], outcome: Outcome) -> None:
         counts = self._work.setdefault(outcome.worker, Counter())
@@ -351,25 +385,29 @@ class _Run:
         if known is not None:
             row = known.row | row
         else:
-            settings = self._settings
-            row = {
-                "plant": cell.plant,
-                "view": cell.view.index,
-                **row,
-                "time_samples": settings.samples,
-                "reference_samples": settings.reference_samples,
-                "repeats": settings.repeats,
-                "warmup": settings.warmup,
-                "ppd": settings.ppd,
-                **source_columns(self._sources.get(cell.plant, {})),
-                "timing": settings.timing,
-                "plant_digest": cell.plant_digest,
-                "kernel_version": kernel_version(),
-                "key": cell.key,
-            }
+            # in front: who reads a file by eye looks for these first
+            row = {"plant": cell.plant, "view": cell.view.index, **row, **self._constants(cell)}
         shard = Shard(row, cell.identity, [*cell.variant.given])
         self._store.write(shard)
         self._shards[cell.key] = shard
+
+    def _constants(self, cell: Cell) -> dict[str, Any]:
+        """Return the columns that are known before anything is measured."""
+        settings = self._settings
+        return {
+            "plant": cell.plant,
+            "view": cell.view.index,
+            "time_samples": settings.samples,
+            "reference_samples": settings.reference_samples,
+            "repeats": settings.repeats,
+            "warmup": settings.warmup,
+            "ppd": settings.ppd,
+            **source_columns(self._sources.get(cell.plant, {})),
+            "timing": settings.timing,
+            "plant_digest": cell.plant_digest,
+            "kernel_version": kernel_version(),
+            "key": cell.key,
+        }
 
     def _tell(self) -> None:
         """Raise the first loss, or warn of all."""

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from treelod.errors import SweepError
 from treelod.files import atomic_write
 from treelod.provenance import core_count
+from treelod.render import opened_card
 from treelod.sweeps import worker
 
 if TYPE_CHECKING:
@@ -95,6 +96,18 @@ class Crew:
     def submit(self, job: Job) -> Future[Outcome]:
         """Hand a job out."""
         return self.executor.submit(worker.run, job)
+
+    def card(self, adapter: str | None) -> str:
+        """Open a graphics card where jobs will run, and return its name."""
+        if isinstance(self.executor, ProcessPoolExecutor | ThreadPoolExecutor | _Inline):
+            # workers of this machine have its cards
+            return opened_card(adapter)[0]
+        return self._elsewhere(opened_card, adapter).result()[0]
+
+    def _elsewhere(
+        self, function: Callable[..., tuple[str, str]], *arguments: str | None
+    ) -> Future[tuple[str, str]]:
+        return self.executor.submit(function, *arguments)
 
     def revive(self, error: BaseException) -> None:
         """Replace a broken executor."""
@@ -195,6 +208,14 @@ class _Dask(Crew):
         # a pure job that failed would be replayed from memory, and not run again
         executor: Any = self.executor
         future: Future[Outcome] = executor.submit(worker.run, job, pure=False)
+        return future
+
+    def _elsewhere(
+        self, function: Callable[..., tuple[str, str]], *arguments: str | None
+    ) -> Future[tuple[str, str]]:
+        executor: Any = self.executor
+        # not what it was when somebody asked before
+        future: Future[tuple[str, str]] = executor.submit(function, *arguments, pure=False)
         return future
 
     def is_lost(self, error: BaseException) -> bool:

@@ -37,7 +37,15 @@ _PLACE = ("azimuth_deg", "elevation_deg", "distance")
 _AXES = ("plant", "label", "technique", "view", *_PLACE)
 """What `to_xarray` needs."""
 
-_MEASURED = ("time_samples", "reference_samples", "ppd", "timing", "kernel_version")
+_MEASURED = (
+    "time_samples",
+    "reference_samples",
+    "ppd",
+    "timing",
+    "kernel_version",
+    "backend",
+    "adapter",
+)
 """How a row was measured: rows that differ in one of them are no mean of anything."""
 
 _FIRST = ("plant", "label", "technique", "params")
@@ -50,9 +58,9 @@ class SweepResults(pd.DataFrame):
     One row a plant, technique, parameters and camera. The columns are those of
     `Comparison.table`, and ``param_NAME`` for each parameter that the grid names (null where a
     technique has none), ``plant_digest``, ``key`` and ``kernel_version`` (what names the plant's
-    content, the row, and the code that made it), ``timing``, ``backend``, ``adapter`` (null on a
-    processor) and ``overdraw`` (fragments a covered pixel). ``attrs["failed"]`` lists the cells
-    without a row, ``attrs["work"]`` what each worker did.
+    content, the row, and the code that made it), ``timing`` and ``overdraw`` (fragments a covered
+    pixel). ``attrs["failed"]`` lists the cells without a row, ``attrs["work"]`` what each worker
+    did.
     """
 
     @property
@@ -156,7 +164,7 @@ class SweepResults(pd.DataFrame):
             twice = numbers.index[numbers.index.duplicated()][0]
             msg = (
                 f"two rows for {dict(zip(index, twice, strict=True))}: choose rows of one sweep "
-                "first, by samples, timing or kernel_version"
+                "first, by samples, timing, backend, adapter or kernel_version"
             )
             raise ValueError(msg)
         dataset = xr.Dataset.from_dataframe(pd.DataFrame(numbers))
@@ -262,7 +270,7 @@ def table_of(shards: Sequence[Shard], views: Sequence[int]) -> SweepResults:
         # from the values themselves: in a column of numbers and gaps, whole ones are whole no more
         values = [shard.identity["params"].get(name) for shard in shards]
         table[f"{PARAM}{name}"] = _typed_param(values)
-    return SweepResults(table.astype({"overdraw": "float64", "adapter": "string"}))
+    return SweepResults(table.astype({"overdraw": "float64"}))
 
 
 def _typed_param(values: Sequence[Any]) -> pd.Series[Any]:

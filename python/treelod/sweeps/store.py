@@ -45,8 +45,9 @@ _STALE_SECS = 3600.0
 
 _TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
 
-_NULL_TYPES = {name: pa.string() for name in ("adapter", "git_commit", "plant_sha256")} | {
-    "seed": pa.int64()
+_NULL_TYPES = {
+    **dict.fromkeys(("adapter", "driver", "git_commit", "plant_sha256"), pa.string()),
+    "seed": pa.int64(),
 }
 """Types of columns that may be without a value, where they are no numbers with a fraction."""
 

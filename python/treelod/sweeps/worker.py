@@ -39,11 +39,11 @@ from treelod.columns import (
     view_columns,
 )
 from treelod.comparison import error_frames
-from treelod.errors import StoreError
+from treelod.errors import NoAdapterError, StoreError
 from treelod.kernel_version import kernel_version
 from treelod.plants import Plant
 from treelod.provenance import core_count, provenance
-from treelod.render import render, time_frames
+from treelod.render import frame_times, render
 from treelod.results import Bake
 from treelod.sweeps.parameters import written
 from treelod.techniques import REGISTRY, FullMesh
@@ -350,9 +350,10 @@ def _row(
         row |= time_columns(None) | count_columns(quick.stats)
         row |= {
             "overdraw": _overdraw(quick, settings.samples),
-            "backend": quick.stats.backend,
-            # a renderer on a graphics card names it; the processor is in `cpu`
-            "adapter": None,
+            "backend": settings.backend,
+            # the processor is in `cpu`
+            "adapter": settings.adapter,
+            "driver": None,
         }
         del row["label"], row["view"]
     if job.what != "errors" and settings.timing != "none":
@@ -360,16 +361,24 @@ def _row(
         if technique is not full:
             # in turns with the yardstick, so that both meet the same machine
             subjects["own"] = technique
-        millis = time_frames(
+        times = frame_times(
             subjects,
             camera,
             samples=settings.samples,
             warmup=settings.warmup,
             repeats=settings.repeats,
             threads=threads,
+            backend=settings.backend,
+            adapter=settings.adapter,
         )
-        own = millis["own"] if technique is not full else millis[FullMesh.name]
-        row |= time_columns(own, float(np.median(millis[FullMesh.name])))
+        base = times[FullMesh.name]
+        own = times.get("own", base)
+        if own.adapter != settings.adapter:
+            msg = f"{_worker_name()} draws with {own.adapter}, and not with {settings.adapter}"
+            raise NoAdapterError(msg)
+        base_millis = float(np.median(base.frame_millis))
+        row |= time_columns(own.frame_millis, base_millis, own.gpu_millis)
+        row["driver"] = own.driver
     row |= {"threads": threads, **provenance_columns(_provenance())}
     row["date"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     return row
@@ -378,6 +387,7 @@ def _row(
 def _overdraw(quick: Frame, samples: int) -> float | None:
     """Fragments a covered pixel, of one set of up to 16 samples."""
     assert quick.color is not None, "colour was asked for"
+    assert quick.stats.fragments is not None, "the processor counts them"
     covered = int(np.count_nonzero(quick.color[..., 3]))
     sets = math.ceil(samples / 16)
     return quick.stats.fragments / (covered * sets) if covered else None
