@@ -148,7 +148,8 @@ def compare_techniques(
     for view in views:
         check_size(view.camera.size)
     check_backend(backend, adapter)
-    card, driver = opened_card(adapter) if backend == "gpu" else (None, None)
+    if backend == "gpu":
+        opened_card(adapter)
     built = _build(plant, techniques, report, threads)
     full = built[FullMesh.name]
     keep = _kept_views(views)
@@ -213,6 +214,7 @@ def compare_techniques(
     }
     portrait, split_portrait = _portraits(plant, full, threads)
     drawn_threads = next(iter(rows.values())).stats.threads
+    timed = next(iter(times.values()))
     return Comparison(
         plant=_facts(plant),
         portrait=portrait,
@@ -242,8 +244,8 @@ def compare_techniques(
             "threads": drawn_threads,
             "ppd": ppd,
             "backend": backend,
-            "adapter": card,
-            "driver": driver,
+            "adapter": timed.adapter,
+            "driver": timed.driver,
         },
         source=dict(source or {}),
         provenance=provenance(),

@@ -401,7 +401,8 @@ def walk(
     strides = _strides(subjects, every or {})
     samples, threads = sample_count(samples), thread_count(threads)
     check_backend(backend, adapter)
-    card, driver = opened_card(adapter) if backend == "gpu" else (None, None)
+    if backend == "gpu":
+        opened_card(adapter)
     center, radius = plant.sphere
     if spacing is None:
         spacing = 1.5 * radius
@@ -465,11 +466,12 @@ def walk(
         "samples": samples,
         "seed": seed,
         "threads": int(found["threads"]),
-        "backend": backend,
-        "adapter": card,
-        "driver": driver,
+        # as the frames say, and not as they were asked for
+        **{name: found[name] for name in ("backend", "adapter", "driver")},
     }
-    table = pd.DataFrame(rows).assign(backend=backend, adapter=card, driver=driver)
+    table = pd.DataFrame(rows).assign(
+        **{name: settings[name] for name in ("backend", "adapter", "driver")}
+    )
     # of their type also where all are null, so that files can be joined
     table = table.astype({"adapter": "string", "driver": "string"})
     return Walk(plant=plant.name, table=table, settings=settings, made=provenance())
