@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from treelod import _core
 
-__all__ = ["Adapter", "adapters"]
+__all__ = ["Adapter", "adapters", "release"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +61,22 @@ def adapters() -> list[Adapter]:
     True
     """
     return [Adapter(**facts) for facts in _core.adapters()]
+
+
+def release() -> None:
+    """
+    Let go of every graphics card, and of all memory on it.
+
+    What techniques share is kept on a card as long as they live, and a picture's planes until one of
+    another size is drawn. The next picture begins anew. Whoever draws in another thread draws to
+    the end.
+
+    Raises
+    ------
+    ForkedError
+        In a child that was forked after its parent had drawn.
+    """
+    _core.release_devices()
 
 
 # some drivers hang when they are left to the end of the process

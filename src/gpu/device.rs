@@ -6,7 +6,7 @@
 //! refuses is kept and becomes an error of the call that caused it; a device that is lost is forgotten,
 //! so that the next call opens another.
 
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::time::{Duration, Instant};
 
@@ -28,10 +28,13 @@ const WHAT_TO_INSTALL: &str = "install the graphics card's Vulkan driver, or Mes
                                without a card (Debian: apt-get install mesa-vulkan-drivers libvulkan1)";
 
 /// Storage buffers that the vertex stage of a shape reads.
-const STORAGE_BUFFER_COUNT: u32 = 12;
+const STORAGE_BUFFER_COUNT: u32 = 11;
 
 /// Of the memory that the driver says there is: more is refused where the driver itself would not.
 const MEMORY_PERCENT: u8 = 90;
+
+/// Bytes that may wait to be copied: they are memory, too.
+const MOST_WAITING_BYTES: u64 = 1 << 26;
 
 /// How long the end of a process waits for its devices.
 const LONGEST_END: Duration = Duration::from_secs(5);
@@ -99,6 +102,8 @@ pub(crate) struct Gpu {
     lost: Arc<Mutex<Option<String>>>,
     /// What it refused.
     refused: Arc<Mutex<Vec<String>>>,
+    /// Bytes that wait to be copied to the card.
+    waiting_bytes: AtomicU64,
 }
 
 impl Gpu {
@@ -110,12 +115,6 @@ impl Gpu {
             | Features::INDIRECT_FIRST_INSTANCE;
         let features = adapter.features() & wanted;
         let limits = adapter.limits();
-        if limits.max_storage_buffers_per_shader_stage < STORAGE_BUFFER_COUNT
-            || !features.contains(Features::INDIRECT_FIRST_INSTANCE)
-        {
-            let why = format!("{} lacks what drawing needs: it is too old", facts.name);
-            return Err(LodError::NoAdapter { why });
-        }
         let descriptor = DeviceDescriptor {
             label: Some("treelod"),
             required_features: features,
@@ -157,7 +156,36 @@ impl Gpu {
             resolves,
             lost,
             refused,
+            waiting_bytes: AtomicU64::new(0),
         })
+    }
+
+    /// Forgets what a call before has left.
+    pub(crate) fn begin(&self) {
+        locked(&self.refused).clear();
+    }
+
+    /// Counts bytes that were handed over to be copied, and waits for the copies before they take much
+    /// memory.
+    ///
+    /// # Errors
+    /// As [`Gpu::wait`].
+    pub(crate) fn handed_over(&self, byte_count: usize, job: &Job) -> Result<(), LodError> {
+        let waiting = self.waiting_bytes.fetch_add(byte_count as u64, Ordering::Relaxed);
+        if waiting + byte_count as u64 >= MOST_WAITING_BYTES {
+            self.copied(job)?;
+        }
+        go_on(job)
+    }
+
+    /// Waits until what was handed over is on the card.
+    ///
+    /// # Errors
+    /// As [`Gpu::wait`].
+    pub(crate) fn copied(&self, job: &Job) -> Result<(), LodError> {
+        self.waiting_bytes.store(0, Ordering::Relaxed);
+        let submission = self.queue.submit([]);
+        self.wait(&submission, job)
     }
 
     /// Lets it tell what has happened to it.
@@ -250,8 +278,7 @@ impl Gpu {
     /// [`LodError::Cancelled`], and what the device refused or why it was lost.
     pub(crate) fn wait(&self, submission: &SubmissionIndex, job: &Job) -> Result<(), LodError> {
         loop {
-            job.check()?;
-            check_open()?;
+            go_on(job)?;
             let wait = PollType::Wait {
                 submission_index: Some(submission.clone()),
                 timeout: Some(PATIENCE),
@@ -270,7 +297,15 @@ impl Gpu {
     }
 }
 
-/// Refuses to go on when the process ends.
+/// Refuses to go on when nobody wants the picture any more, or the process ends.
+///
+/// # Errors
+/// [`LodError::Cancelled`], [`LodError::Device`].
+pub(crate) fn go_on(job: &Job) -> Result<(), LodError> {
+    job.check()?;
+    check_open()
+}
+
 fn check_open() -> Result<(), LodError> {
     if CLOSES.load(Ordering::Acquire) {
         return Err(LodError::Device { why: "is closed: the process ends".to_owned() });
@@ -287,7 +322,8 @@ struct Registry {
     instance: Option<Instance>,
     /// All there are, once somebody asked; the one that is taken where nobody chooses first.
     adapters: Vec<(AdapterFacts, Adapter)>,
-    open: Vec<(AdapterFacts, Arc<Mutex<Renderer>>)>,
+    /// By their adapters' places in that list.
+    open: Vec<(usize, Arc<Mutex<Renderer>>)>,
 }
 
 static REGISTRY: Mutex<Registry> =
@@ -299,11 +335,12 @@ static CLOSES: AtomicBool = AtomicBool::new(false);
 /// Process that used the registry first; 0 before that. Beside the lock, which a fork may leave locked.
 static OWNER: AtomicU32 = AtomicU32::new(0);
 
-fn registry() -> Result<MutexGuard<'static, Registry>, LodError> {
+/// Waits for whoever opens a device, but not after that is of no use.
+fn registry(job: &Job) -> Result<MutexGuard<'static, Registry>, LodError> {
     let process = std::process::id();
     match OWNER.compare_exchange(0, process, Ordering::AcqRel, Ordering::Acquire) {
         Err(owner) if owner != process => Err(LodError::Forked),
-        _ => Ok(locked(&REGISTRY)),
+        _ => taken(&REGISTRY, job),
     }
 }
 
@@ -314,43 +351,56 @@ impl Registry {
             let instance = self.instance.get_or_insert_with(|| {
                 let mut descriptor = InstanceDescriptor::new_without_display_handle();
                 descriptor.backends = Backends::VULKAN | Backends::METAL | Backends::DX12;
-                // the arguments of indirect draws are our own
-                descriptor.flags = InstanceFlags::from_build_config().with_env()
-                    & !InstanceFlags::VALIDATION_INDIRECT_CALL;
+                descriptor.flags = InstanceFlags::from_build_config().with_env();
+                if !cfg!(windows) {
+                    // the arguments of indirect draws are our own; DirectX 12 numbers corners and copies
+                    // from 0 without the check
+                    descriptor.flags.remove(InstanceFlags::VALIDATION_INDIRECT_CALL);
+                }
                 descriptor.memory_budget_thresholds.for_resource_creation = Some(MEMORY_PERCENT);
                 Instance::new(descriptor)
             });
             let found = pollster::block_on(instance.enumerate_adapters(Backends::all()));
-            self.adapters = found.into_iter().map(|a| (AdapterFacts::of(&a), a)).collect();
+            let facts = |adapter: Adapter| (AdapterFacts::of(&adapter), adapter);
+            self.adapters = found.into_iter().filter(can_draw).map(facts).collect();
             self.adapters.sort_by_key(|(facts, _)| facts.rank());
         }
         Ok(&self.adapters)
     }
 }
 
+/// Whether an adapter has what drawing needs: old ones lack it.
+fn can_draw(adapter: &Adapter) -> bool {
+    adapter.limits().max_storage_buffers_per_shader_stage >= STORAGE_BUFFER_COUNT
+        && adapter.features().contains(Features::INDIRECT_FIRST_INSTANCE)
+}
+
 /// The adapters of this machine, the one that is taken where nobody chooses first.
 ///
 /// # Errors
 /// [`LodError::Forked`] in a child of the process that asked first.
-pub fn adapters() -> Result<Vec<AdapterFacts>, LodError> {
-    Ok(registry()?.adapters()?.iter().map(|(facts, _)| facts.clone()).collect())
+pub fn adapters(job: &Job) -> Result<Vec<AdapterFacts>, LodError> {
+    Ok(registry(job)?.adapters()?.iter().map(|(facts, _)| facts.clone()).collect())
 }
 
-/// The renderer of the adapter whose name contains `name`, in any case, or which is of that kind; `None`:
-/// what `TREELOD_ADAPTER` names, else the first.
+/// The renderer of the adapter whose name contains `name`, in any case, or which is of that kind or spoken to
+/// through that interface; nothing: what `TREELOD_ADAPTER` names, else the first.
 ///
 /// # Errors
 /// [`LodError::NoAdapter`] if there is none, [`LodError::Device`] if it does not open.
-pub(crate) fn renderer_of(name: Option<&str>) -> Result<Arc<Mutex<Renderer>>, LodError> {
-    let variable = std::env::var(ADAPTER_VARIABLE).ok().filter(|text| !text.trim().is_empty());
-    let wanted = name.map(str::to_owned).or(variable).map(|text| text.trim().to_lowercase());
-    let mut registry = registry()?;
+pub(crate) fn renderer_of(name: Option<&str>, job: &Job) -> Result<Arc<Mutex<Renderer>>, LodError> {
+    let stated = |text: String| Some(text.trim().to_lowercase()).filter(|text| !text.is_empty());
+    let variable = || std::env::var(ADAPTER_VARIABLE).ok().and_then(stated);
+    let wanted = name.map(str::to_owned).and_then(stated).or_else(variable);
+    let mut registry = registry(job)?;
     let adapters = registry.adapters()?;
     let fits = |facts: &AdapterFacts| {
         let name = facts.name.to_lowercase();
-        wanted.as_ref().is_none_or(|wanted| name.contains(wanted) || facts.kind == wanted)
+        wanted.as_ref().is_none_or(|wanted| {
+            name.contains(wanted) || facts.kind == wanted || facts.api == *wanted
+        })
     };
-    let Some((facts, adapter)) = adapters.iter().find(|(facts, _)| fits(facts)).cloned() else {
+    let Some(place) = adapters.iter().position(|(facts, _)| fits(facts)) else {
         let names: Vec<String> = adapters.iter().map(|(f, _)| format!("{:?}", f.name)).collect();
         let why = match wanted {
             Some(wanted) if !names.is_empty() => {
@@ -360,45 +410,52 @@ pub(crate) fn renderer_of(name: Option<&str>) -> Result<Arc<Mutex<Renderer>>, Lo
         };
         return Err(LodError::NoAdapter { why });
     };
+    let (_, adapter) = adapters[place].clone();
     registry.open.retain(|(_, renderer)| match renderer.try_lock() {
         Ok(renderer) => !renderer.gpu().is_lost(),
         Err(TryLockError::WouldBlock) => true,
         Err(TryLockError::Poisoned(_)) => false,
     });
-    if let Some((_, renderer)) = registry.open.iter().find(|(open, _)| *open == facts) {
+    if let Some((_, renderer)) = registry.open.iter().find(|(open, _)| *open == place) {
         return Ok(Arc::clone(renderer));
     }
     let renderer = Arc::new(Mutex::new(Renderer::new(Gpu::open(&adapter)?)?));
-    registry.open.push((facts, Arc::clone(&renderer)));
+    registry.open.push((place, Arc::clone(&renderer)));
     Ok(renderer)
 }
 
 /// A renderer of the first adapter that nobody else draws with; `None` without an adapter.
 #[cfg(test)]
 pub(crate) fn renderer_of_its_own() -> Option<Renderer> {
-    let mut registry = registry().expect("not forked");
+    let mut registry = registry(&Job::default()).expect("not forked");
     let adapters = registry.adapters().expect("open");
     let (_, adapter) = adapters.first()?;
     let gpu = Gpu::open(adapter).expect("it opens");
     Some(Renderer::new(gpu).expect("a renderer"))
 }
 
-/// A renderer for one picture: waits for others to be done with it, unless somebody wants it to stop.
+/// Waits for others to be done with something, unless somebody wants it to stop.
 ///
 /// # Errors
-/// [`LodError::Cancelled`].
-pub(crate) fn taken<'a>(
-    renderer: &'a Mutex<Renderer>,
-    job: &Job,
-) -> Result<MutexGuard<'a, Renderer>, LodError> {
+/// As [`go_on`].
+pub(crate) fn taken<'a, T>(shared: &'a Mutex<T>, job: &Job) -> Result<MutexGuard<'a, T>, LodError> {
     loop {
-        job.check()?;
-        match renderer.try_lock() {
+        go_on(job)?;
+        match shared.try_lock() {
             Ok(guard) => return Ok(guard),
             Err(TryLockError::Poisoned(poisoned)) => return Ok(poisoned.into_inner()),
             Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(1)),
         }
     }
+}
+
+/// Lets go of every device with all that is on it; the next picture opens another.
+///
+/// # Errors
+/// [`LodError::Forked`], [`LodError::Cancelled`].
+pub fn release(job: &Job) -> Result<(), LodError> {
+    registry(job)?.open.clear();
+    Ok(())
 }
 
 /// Drops every device, if this process has any, once whoever draws has let go of it; none can be opened
@@ -408,8 +465,15 @@ pub fn close_all() {
         return;
     }
     CLOSES.store(true, Ordering::Release);
-    let mut registry = locked(&REGISTRY);
     let deadline = Instant::now() + LONGEST_END;
+    let mut registry = loop {
+        match REGISTRY.try_lock() {
+            Ok(registry) => break registry,
+            Err(TryLockError::Poisoned(poisoned)) => break poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) if Instant::now() > deadline => return,
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(1)),
+        }
+    };
     for (_, renderer) in registry.open.drain(..) {
         while Instant::now() < deadline {
             if let Ok(renderer) = renderer.try_lock() {

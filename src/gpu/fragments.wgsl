@@ -70,7 +70,8 @@ fn threshold(number: u32, set_size: u32, seed: u32, id: u32) -> f32 {
     hash = (hash ^ (hash >> 15u)) * 0x846CA68Bu;
     hash ^= hash >> 16u;
     let rank = ((number ^ (hash >> 8u)) * (hash | 1u)) & (set_size - 1u);
-    return (f32(rank) + 0.5) / f32(set_size);
+    // a little less: alpha that was rounded to a half must pass where it equals it
+    return (f32(rank) + 0.5) / f32(set_size) * (1.0 - 1.0 / 2048.0);
 }
 #endif
 
@@ -118,7 +119,7 @@ fn depth_of(z: f32) -> f32 {
 #endif
     let z = in.place.z;
 #endif
-    let pixel = vec2<u32>(in.place.xy) + vec2(0u, view.sample.z);
+    let pixel = vec2<u32>(in.place.xy);
 #if PARALLAX
     if is_missed {
         discard;
@@ -150,9 +151,9 @@ fn depth_of(z: f32) -> f32 {
     }
 #endif
 #if ORDER
-    let known = found[in_rows(pixel)];
+    let known = found[pixel.y * view.size.x + pixel.x];
 #if PRODUCT
-    if in.order < known + view.sample.w {
+    if in.order < known + view.sample.z {
         discard;
     }
 #else
@@ -164,6 +165,11 @@ fn depth_of(z: f32) -> f32 {
 #endif
 #if OVER
     let shown = clamp(alpha, 0.0, 1.0);
+#if HIDES
+    if shown <= 0.0 {
+        discard;
+    }
+#endif
 #else
     let shown = 1.0;
 #endif
@@ -232,12 +238,5 @@ fn corrected(corner: Corner) -> Corner {
 fn unit(vector: vec3<f32>) -> vec3<f32> {
     let length = length(vector);
     return select(vec3(0.0), vector / length, length > 0.0);
-}
-#endif
-
-#if ORDER
-// Where a pixel's numbers are kept.
-fn in_rows(pixel: vec2<u32>) -> u32 {
-    return (pixel.y - view.sample.z) * view.size.x + pixel.x;
 }
 #endif

@@ -22,15 +22,16 @@ mod tests;
 
 use crate::draw_list::DrawList;
 use crate::error::LodError;
+use crate::gpu::renderer::Renderer;
 use crate::job::Job;
 use crate::raster::{Frame, Settings, Stats};
 use crate::view::View;
 
-pub use device::{ADAPTER_VARIABLE, AdapterFacts, adapters, close_all};
+pub use device::{ADAPTER_VARIABLE, AdapterFacts, adapters, close_all, release};
 
 /// Draws a list and copies the picture out; with the adapter that drew it.
 ///
-/// `adapter` is a part of an adapter's name, in any case, or a kind of adapter; `None`: what
+/// `adapter` is a part of an adapter's name, in any case, a kind of adapter or an interface; `None`: what
 /// `TREELOD_ADAPTER` names, else the first.
 ///
 /// # Errors
@@ -42,10 +43,7 @@ pub fn render(
     settings: &Settings,
     job: &Job,
 ) -> Result<(Frame, AdapterFacts), LodError> {
-    let shared = device::renderer_of(adapter)?;
-    let mut renderer = device::taken(&shared, job)?;
-    let frame = renderer.render(list, view, settings, job)?;
-    Ok((frame, renderer.gpu().facts.clone()))
+    with_renderer(adapter, job, |renderer| renderer.render(list, view, settings, job))
 }
 
 /// Draws a list and leaves the picture on the card: what a time contains.
@@ -60,10 +58,24 @@ pub fn draw(
     settings: &Settings,
     job: &Job,
 ) -> Result<(Stats, AdapterFacts), LodError> {
-    let shared = device::renderer_of(adapter)?;
-    let mut renderer = device::taken(&shared, job)?;
-    let stats = renderer.draw(list, view, settings, job)?;
-    Ok((stats, renderer.gpu().facts.clone()))
+    with_renderer(adapter, job, |renderer| renderer.draw(list, view, settings, job))
+}
+
+/// Gives a renderer to one picture, and says whose it is.
+fn with_renderer<T>(
+    adapter: Option<&str>,
+    job: &Job,
+    draw: impl FnOnce(&mut Renderer) -> Result<T, LodError>,
+) -> Result<(T, AdapterFacts), LodError> {
+    loop {
+        let shared = device::renderer_of(adapter, job)?;
+        let mut renderer = device::taken(&shared, job)?;
+        // lost while others drew: their loss, and another one is open for us
+        if !renderer.gpu().is_lost() && !shared.is_poisoned() {
+            let drawn = draw(&mut renderer)?;
+            return Ok((drawn, renderer.gpu().facts.clone()));
+        }
+    }
 }
 
 /// Makes a device fail, to show that callers survive it: "lost", "memory" or "command".
@@ -71,7 +83,6 @@ pub fn draw(
 /// # Errors
 /// What the failure is.
 pub fn fail(adapter: Option<&str>, kind: &str) -> Result<(), LodError> {
-    let shared = device::renderer_of(adapter)?;
-    let renderer = device::taken(&shared, &Job::default())?;
-    renderer.gpu().fail(kind)
+    let job = Job::default();
+    with_renderer(adapter, &job, |renderer| renderer.gpu().fail(kind)).map(|_| ())
 }

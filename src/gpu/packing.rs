@@ -1,7 +1,7 @@
 //! From a draw list to what the shaders read of it, and to runs of items that are drawn in one go.
 
 use bytemuck::{Pod, Zeroable};
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use crate::draw_list::{Blend, Buffers, DrawList, Geometry, Item, Primitive, Source, Surface};
 use crate::error::{LodError, check_limit};
@@ -12,6 +12,9 @@ use crate::view::View;
 /// Quads that one draw call may have: the length of the pattern of their corners.
 pub(crate) const PATTERN_QUADS: u32 = 1 << 18;
 
+/// What rounding to a half leaves of a number at least, and some: alpha that equals a cutoff must pass.
+const HALF_ROUNDING: f32 = 1.0 - 1.0 / 2048.0;
+
 /// Primitives of an item that base vertices can count: corner numbers of quads are `i32`.
 const MAX_QUAD: u64 = 1 << 29;
 
@@ -20,6 +23,7 @@ const MAX_QUAD: u64 = 1 << 29;
 #[repr(C)]
 pub(crate) struct InstanceData {
     axes: [[f32; 4]; 3],
+    offset: [f32; 4],
     tint: [f32; 4],
     params: [f32; 8],
     fade: f32,
@@ -88,13 +92,24 @@ impl Packed {
     ///
     /// # Errors
     /// A list of more primitives than numbers can count.
-    pub(crate) fn new(list: &DrawList, targets: Targets, four: bool) -> Result<Self, LodError> {
+    pub(crate) fn new(
+        list: &DrawList,
+        view: &View,
+        targets: Targets,
+        four: bool,
+    ) -> Result<Self, LodError> {
         let mut packed = Self::default();
+        let scale = view.pixels_per_metre_at_one();
+        let (right, down) = (view.right * (scale * view.pixel_aspect), -view.up * scale);
         packed.instances.extend(list.instances.iter().map(|instance| {
             let axis = |axis: Vec3, offset: f32| axis.extend(offset).to_array();
             let [x, y, z] =
                 [instance.linear.x_axis, instance.linear.y_axis, instance.linear.z_axis];
+            // far from the eye f32 sums would lose what tells a plant's vertices apart
+            let far = instance.translation.as_dvec3();
+            let offset = DVec3::new(right.dot(far), down.dot(far), -view.back.dot(far));
             InstanceData {
+                offset: offset.as_vec3().extend(0.0).to_array(),
                 axes: [
                     axis(x, instance.translation.x),
                     axis(y, instance.translation.y),
@@ -131,7 +146,7 @@ impl Packed {
         }
         check_limit("draw list", u64::from(item.primitives.end), MAX_QUAD, "primitives")?;
         let number = u32::try_from(self.items.len()).expect("few items");
-        let first_draw = u32::try_from(self.draws.len()).expect("fewer than instances and items");
+        let first_draw = u32::try_from(self.draws.len()).map_err(|_| too_many())?;
         let copies = &list.instances[item.instances.start as usize..item.instances.end as usize];
         let is_blended = item.blend == Blend::Over;
         for instance in item.instances.clone() {
@@ -148,7 +163,7 @@ impl Packed {
         let [near, far] = item.slab.unwrap_or([0.0, f32::MAX]);
         self.items.push(ItemData {
             slab: [near, if far.is_finite() { far } else { f32::MAX }],
-            cutoff: if let Blend::Test(cutoff) = item.blend { cutoff } else { 0.0 },
+            cutoff: if let Blend::Test(cutoff) = item.blend { cutoff * HALF_ROUNDING } else { 0.0 },
             size: match item.primitive {
                 Primitive::Lines { width_px: size } | Primitive::Points { size_px: size } => size,
                 Primitive::Triangles | Primitive::Cards => 0.0,
@@ -230,6 +245,12 @@ impl Packed {
     }
 }
 
+/// Copies of items beyond what a number counts.
+fn too_many() -> LodError {
+    let (asked, limit) = (u64::from(u32::MAX) + 1, u64::from(u32::MAX));
+    LodError::Limit { name: "draw list", asked, limit, unit: "copies of items" }
+}
+
 impl Run {
     /// Whether its calls have indices.
     pub(crate) fn is_indexed(&self) -> bool {
@@ -295,8 +316,8 @@ pub(crate) fn greatest_depth(
             continue;
         }
         let (center, half) = ((low + high) * 0.5, (high - low) * 0.5);
-        for instance in &list.instances[item.instances.start as usize..item.instances.end as usize]
-        {
+        let range = item.instances.start as usize..item.instances.end as usize;
+        for instance in list.instances.get(range).unwrap_or_default() {
             let away = -view.back.as_vec3();
             let along = instance.linear.transpose() * away;
             let middle = f64::from(along.dot(center)) + f64::from(instance.translation.dot(away));

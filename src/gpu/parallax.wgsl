@@ -124,6 +124,9 @@ fn chord(ray: Ray) -> vec2<f32> {
 
 fn hit_of(ray: Ray, inside: vec2<f32>, number: u32, item: u32, lod: f32) -> Hit {
     let missed = Hit(vec2(0.0), 0.0, 1.0, false);
+    if number >= arrayLength(&frame) {
+        return missed;
+    }
     let at = frame[number];
     let cosine = -dot(ray.direction, at.toward.xyz);
     if at.toward.w == 0.0 || cosine < LEAST_COSINE {

@@ -115,6 +115,7 @@ impl Key {
             "TEST" => mixing == Mixing::Test,
             "COVERAGE" => mixing == Mixing::Coverage,
             "OVER" => mixing == Mixing::Over,
+            "HIDES" => mixing == Mixing::Over && self.writes_depth,
             "WHAT" => {
                 let asks = ["TEST", "COVERAGE", "SLAB", "DITHER", "NORMAL", "PARALLAX", "IDS"];
                 asks.iter().any(|name| self.holds(name))
@@ -164,7 +165,7 @@ impl Key {
 
     /// Whether fragments must be asked: for colours, or whether they are there.
     fn has_fragments(&self) -> bool {
-        let asked = ["ANY_TARGET", "TEST", "COVERAGE", "SLAB", "DITHER", "ORDER"];
+        let asked = ["ANY_TARGET", "TEST", "COVERAGE", "SLAB", "DITHER", "ORDER", "HIDES"];
         asked.iter().any(|name| self.holds(name))
     }
 
@@ -451,7 +452,7 @@ mod tests {
 
     #[test]
     fn every_key_has_a_shader() {
-        let shared = match device::renderer_of(None) {
+        let shared = match device::renderer_of(None, &Job::default()) {
             Err(LodError::NoAdapter { .. }) if std::env::var_os("CI").is_none() => return,
             found => found.expect("a card"),
         };

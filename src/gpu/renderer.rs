@@ -13,7 +13,7 @@ use wgpu::{
 
 use crate::draw_list::{Blend, DrawList, Geometry, Source};
 use crate::error::{LodError, check_finite, check_limit};
-use crate::gpu::device::Gpu;
+use crate::gpu::device::{Gpu, go_on};
 use crate::gpu::packing::{Packed, Run, greatest_depth};
 use crate::gpu::pipelines::{Mixing, Pipelines, Search, Shapes, Targets, trimmed};
 use crate::gpu::readback::read;
@@ -196,7 +196,7 @@ impl Renderer {
         settings: &Settings,
         job: &Job,
     ) -> Result<Stats, LodError> {
-        self.gpu.check()?;
+        self.gpu.begin();
         list.check()?;
         check_finite("background", &[settings.background])?;
         let pixel_count = u64::from(view.width) * u64::from(view.height);
@@ -211,8 +211,11 @@ impl Renderer {
             self.planes = Some(Planes::new(&self.gpu, shape)?);
         }
         self.resources.prepare(&self.gpu, &self.pipelines, list, job)?;
-        let packed = Packed::new(list, shape.targets, shape.four)?;
+        let start = Instant::now();
+        let packed = Packed::new(list, view, shape.targets, shape.four)?;
+        let packing = start.elapsed();
         for run in &packed.runs {
+            go_on(job)?;
             self.pipelines.prepare(&self.gpu, run.key)?;
             if shape.searches && run.key.mixing == Mixing::Over {
                 for search in [Search::Product, Search::Found] {
@@ -222,8 +225,7 @@ impl Renderer {
             self.resources.prepare_surface(&self.gpu, &self.pipelines, list, run.reads)?;
         }
         // what was uploaded is there before time is taken
-        let uploaded = self.gpu.queue.submit([]);
-        self.gpu.wait(&uploaded, job)?;
+        self.gpu.copied(job)?;
         let start = Instant::now();
         let is_own = |source: Source| source == Source::Own;
         if packed.runs.iter().any(|run| is_own(run.vertices) || is_own(run.indices)) {
@@ -237,7 +239,7 @@ impl Renderer {
         let (last, is_summed) = self.passes(&picture, &positions)?;
         self.is_summed = is_summed;
         self.gpu.wait(&last, job)?;
-        stats.draw_millis = start.elapsed().as_secs_f64() * 1e3;
+        stats.draw_millis = (packing + start.elapsed()).as_secs_f64() * 1e3;
         stats.vertex_count =
             packed.corner_count * if shape.four { 1 } else { positions.len() as u64 };
         if let Some(clock) = &self.clock {
@@ -437,7 +439,7 @@ impl Renderer {
         let bits = u32::BITS - picture.packed.blended_count.leading_zeros();
         for bit in (0..bits).rev() {
             let step = 1 << bit;
-            self.write_view(picture, position, [sample[0], sample[1], sample[2], step]);
+            self.write_view(picture, position, [sample[0], sample[1], step, 0]);
             let mut encoder = self.encoder();
             if bit + 1 == bits {
                 encoder.clear_buffer(&planes.found, 0, None);

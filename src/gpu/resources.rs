@@ -2,10 +2,11 @@
 //!
 //! Entries are found by the ids that buffers and textures have in this process, and dropped when nothing
 //! else holds what they were made from. Texels are stored premultiplied and linear as halves, so that the
-//! card's own filter does what filtering here means; that rounds a texel by at most 2^-12 of itself.
+//! card's own filter does what filtering here means; that rounds a texel by at most 2^-12 of itself, or by 2^-25 where it is nearly black.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::ops::Range;
 use std::sync::{Arc, Weak};
 
 use bytemuck::{Pod, Zeroable};
@@ -28,8 +29,8 @@ use crate::texture::frames::Relit;
 use crate::texture::texture::decode;
 use crate::texture::{Distribution, Filter, Frames, Image, Sampler, Texture, Wrap};
 
-/// Bytes that an upload hands over between two looks at whether somebody wants it to stop.
-const CHUNK_BYTES: usize = 1 << 24;
+/// Bytes that are handed over at once.
+const CHUNK_BYTES: usize = 1 << 22;
 
 /// Something on the card, and what it was made from.
 #[derive(Debug)]
@@ -158,14 +159,9 @@ pub(crate) fn empty_buffer(
 
 fn write(gpu: &Gpu, buffer: &Buffer, bytes: &[u8], job: &Job) -> Result<(), LodError> {
     for (number, part) in bytes.chunks(CHUNK_BYTES).enumerate() {
-        job.check()?;
         let offset = (number * CHUNK_BYTES) as u64;
-        gpu.queue.write_buffer(buffer, offset, part);
-        if part.len() >= CHUNK_BYTES {
-            // what waits to be copied is memory, too
-            let submission = gpu.queue.submit([]);
-            gpu.wait(&submission, job)?;
-        }
+        gpu.allocating(|| gpu.queue.write_buffer(buffer, offset, part))?;
+        gpu.handed_over(part.len(), job)?;
     }
     Ok(())
 }
@@ -314,7 +310,8 @@ impl Resources {
                 for (label, bytes) in arrays {
                     // half as much again, so that a growing frame does not always ask for more
                     let size = bytes.len() as u64 * 3 / 2;
-                    let limit = gpu.limits.max_storage_buffer_binding_size;
+                    let limit =
+                        gpu.limits.max_storage_buffer_binding_size.min(gpu.limits.max_buffer_size);
                     let size = if size > limit { bytes.len() as u64 } else { size };
                     made.push(empty_buffer(gpu, label, usage_of(label), size)?);
                 }
@@ -468,7 +465,7 @@ fn texture<T: Pod>(
     label: &str,
     format: TextureFormat,
     sizes: &[(u32, u32)],
-    texels_of: impl Fn(usize) -> Vec<T>,
+    texels_of: impl Fn(usize, Range<usize>) -> Vec<T>,
     job: &Job,
 ) -> Result<TextureView, LodError> {
     let (width, height) = sizes[0];
@@ -492,31 +489,32 @@ fn texture<T: Pod>(
     };
     let made = gpu.allocating(|| gpu.device.create_texture(&descriptor))?;
     for (level, &(width, height)) in (0_u32..).zip(sizes) {
-        job.check()?;
-        let texels = texels_of(level as usize);
         let row_texels = width as usize;
         let row_bytes = row_texels * size_of::<T>();
-        let rows_at_once = (CHUNK_BYTES / row_bytes).max(1);
-        let chunks = texels.chunks(rows_at_once * row_texels);
-        for (number, part) in chunks.enumerate() {
-            job.check()?;
-            let y = u32::try_from(number * rows_at_once).expect("a row");
-            let rows = u32::try_from(part.len() / row_texels).expect("rows");
-            gpu.queue.write_texture(
-                TexelCopyTextureInfo {
-                    texture: &made,
-                    mip_level: level,
-                    origin: Origin3d { x: 0, y, z: 0 },
-                    aspect: TextureAspect::All,
-                },
-                bytemuck::cast_slice(part),
-                TexelCopyBufferLayout {
-                    offset: 0,
-                    bytes_per_row: Some(u32::try_from(row_bytes).expect("under 16384 texels")),
-                    rows_per_image: Some(height),
-                },
-                Extent3d { width, height: rows, depth_or_array_layers: 1 },
-            );
+        let rows_at_once = u32::try_from(CHUNK_BYTES / row_bytes).expect("small").max(1);
+        for y in (0..height).step_by(rows_at_once as usize) {
+            let rows = rows_at_once.min(height - y);
+            let first = y as usize * row_texels;
+            let part = texels_of(level as usize, first..first + rows as usize * row_texels);
+            let write = || {
+                gpu.queue.write_texture(
+                    TexelCopyTextureInfo {
+                        texture: &made,
+                        mip_level: level,
+                        origin: Origin3d { x: 0, y, z: 0 },
+                        aspect: TextureAspect::All,
+                    },
+                    bytemuck::cast_slice(&part),
+                    TexelCopyBufferLayout {
+                        offset: 0,
+                        bytes_per_row: Some(u32::try_from(row_bytes).expect("16384 texels")),
+                        rows_per_image: Some(rows),
+                    },
+                    Extent3d { width, height: rows, depth_or_array_layers: 1 },
+                );
+            };
+            gpu.allocating(write)?;
+            gpu.handed_over(part.len() * size_of::<T>(), job)?;
         }
     }
     gpu.check()?;
@@ -529,9 +527,9 @@ fn sizes_of(levels: &[Image]) -> Vec<(u32, u32)> {
 
 fn color_texture(gpu: &Gpu, source: &Texture, job: &Job) -> Result<TextureView, LodError> {
     let levels = source.levels();
-    let texels = |level: usize| -> Vec<[f16; 4]> {
+    let texels = |level: usize, range: Range<usize>| -> Vec<[f16; 4]> {
         let halves = |texel: &[u8; 4]| decode(*texel).to_array().map(f16::from_f32);
-        levels[level].texels.iter().map(halves).collect()
+        levels[level].texels[range].iter().map(halves).collect()
     };
     texture(gpu, "texels", TextureFormat::Rgba16Float, &sizes_of(levels), texels, job)
 }
@@ -564,17 +562,17 @@ fn frame_parts(gpu: &Gpu, source: &Frames, job: &Job) -> Result<FrameParts, LodE
     let parts = source.parts();
     let levels = parts.depth.levels();
     let sizes: Vec<(u32, u32)> = levels.iter().map(|level| (level.width, level.height)).collect();
-    let codes = |level: usize| -> Vec<u16> { levels[level].codes.clone() };
+    let codes = |level: usize, range: Range<usize>| levels[level].codes[range].to_vec();
     let depths = texture(gpu, "depths", TextureFormat::R16Uint, &sizes, codes, job)?;
     let normals = match &parts.relit {
         Some(Relit { normal, .. }) => {
             let levels = normal.levels();
-            let codes = |level: usize| levels[level].texels.clone();
+            let codes = |level: usize, range: Range<usize>| levels[level].texels[range].to_vec();
             let format = TextureFormat::Rgba8Unorm;
             texture(gpu, "normals", format, &sizes_of(levels), codes, job)?
         }
         None => {
-            let none = |_: usize| vec![[0_u8; 4]];
+            let none = |_: usize, _: Range<usize>| vec![[0_u8; 4]];
             texture(gpu, "no normals", TextureFormat::Rgba8Unorm, &[(1, 1)], none, job)?
         }
     };

@@ -2,7 +2,7 @@
 // paint order from which on the shapes let at most half through. One bit of its number a step.
 
 struct Search {
-    // Pixels a row, rows; the step; 1 for the first one.
+    // Pixels a row, rows; the step.
     size: vec4<u32>,
 }
 

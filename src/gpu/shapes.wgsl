@@ -10,7 +10,7 @@ struct View {
     away: vec4<f32>,
     // 2 / width, 2 / height, the greatest depth of a parallel view, and 1 for a perspective one.
     scale: vec4<f32>,
-    // Number of the sample in its set, size of the set, first row of the picture, step of the search.
+    // Number of the sample in its set, size of the set, step of the search.
     sample: vec4<u32>,
     // Pixels a row, rows.
     size: vec4<u32>,
@@ -21,6 +21,8 @@ struct Instance {
     x: vec4<f32>,
     y: vec4<f32>,
     z: vec4<f32>,
+    // That offset as it lies on the picture.
+    offset: vec4<f32>,
     tint: vec4<f32>,
     params: array<vec4<f32>, 2>,
     fade: f32,
@@ -60,7 +62,7 @@ struct Item {
 @group(2) @binding(1) var<storage, read> source_ids: array<u32>;
 
 struct Corner {
-    @builtin(position) place: vec4<f32>,
+    @invariant @builtin(position) place: vec4<f32>,
 #if WHAT
     // Item, instance, id.
     @location(0) @interpolate(flat) what: vec3<u32>,
@@ -111,15 +113,22 @@ fn normal_at(at: u32) -> vec3<f32> {
 
 // Pixels from the picture's middle (times depth in perspective), and depth.
 fn on_picture(instance: u32, local: vec3<f32>) -> vec3<f32> {
-    let at = from_eye(instance, local);
-    return vec3(dot(view.right.xyz, at), dot(view.down.xyz, at), dot(view.away.xyz, at));
+    let at = turned_to_eye(instance, local);
+    let from_origin = vec3(dot(view.right.xyz, at), dot(view.down.xyz, at), dot(view.away.xyz, at));
+    return from_origin + instances[instance].offset.xyz;
+}
+
+// Along the world's axes, from where the copy's origin stands.
+fn turned_to_eye(instance: u32, local: vec3<f32>) -> vec3<f32> {
+    let x = instances[instance].x.xyz;
+    let y = instances[instance].y.xyz;
+    let z = instances[instance].z.xyz;
+    return x * local.x + y * local.y + z * local.z;
 }
 
 fn from_eye(instance: u32, local: vec3<f32>) -> vec3<f32> {
-    let x = instances[instance].x;
-    let y = instances[instance].y;
-    let z = instances[instance].z;
-    return x.xyz * local.x + y.xyz * local.y + z.xyz * local.z + vec3(x.w, y.w, z.w);
+    let offset = vec3(instances[instance].x.w, instances[instance].y.w, instances[instance].z.w);
+    return turned_to_eye(instance, local) + offset;
 }
 
 // How normals turn: the cofactors of the linear map. Their lengths change.

@@ -112,9 +112,9 @@ impl Planes {
         let facts_size = size_of::<SumFacts>() as u64;
         let facts = empty_buffer(gpu, "sum", BufferUsages::UNIFORM, facts_size)?;
         let search_facts = empty_buffer(gpu, "search", BufferUsages::UNIFORM, 16)?;
-        let add = kernel(gpu, &shape, Kernel::Add, &[&facts], &drawn, &sums, &found);
-        let finish = kernel(gpu, &shape, Kernel::Finish, &[&facts], &drawn, &sums, &found);
-        let search = kernel(gpu, &shape, Kernel::Search, &[&search_facts], &drawn, &sums, &found);
+        let add = kernel(gpu, &shape, Kernel::Add, &facts, &drawn, &sums, &found);
+        let finish = kernel(gpu, &shape, Kernel::Finish, &facts, &drawn, &sums, &found);
+        let search = kernel(gpu, &shape, Kernel::Search, &search_facts, &drawn, &sums, &found);
         gpu.check()?;
         Ok(Self { shape, drawn, sums, found, facts, search_facts, add, finish, search })
     }
@@ -237,7 +237,7 @@ fn kernel(
     gpu: &Gpu,
     shape: &Shape,
     kernel: Kernel,
-    facts: &[&Buffer],
+    facts: &Buffer,
     drawn: &Drawn,
     sums: &Sums,
     found: &Buffer,
@@ -269,7 +269,7 @@ fn kernel(
         entries
     };
     let view = BindingResource::TextureView;
-    let mut resources = vec![facts[0].as_entire_binding()];
+    let mut resources = vec![facts.as_entire_binding()];
     if kernel == Kernel::Search {
         resources.extend([view(&drawn.product), found.as_entire_binding()]);
     } else {

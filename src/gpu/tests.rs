@@ -1,7 +1,9 @@
 //! The same lists on the card and on the processor: random ones that hold everything a list can, and
 //! what random ones do not.
 
-use glam::{DAffine3, Mat3, Vec3, Vec4};
+use std::sync::Arc;
+
+use glam::{DAffine3, Mat3, Vec2, Vec3, Vec4};
 
 use super::device::renderer_of_its_own;
 use super::render;
@@ -11,7 +13,7 @@ use crate::job::Job;
 use crate::raster::parallax::tests as windows;
 use crate::raster::tests::{add, buffers, pixel_view, soup, soup_views};
 use crate::raster::{Frame, Outputs, Renderer, Settings};
-use crate::texture::{Filter, Sampler};
+use crate::texture::{Filter, Image, Sampler, Texture, Wrap};
 use crate::view::View;
 
 const ALL: Outputs =
@@ -31,6 +33,9 @@ const DEPTH_TOLERANCE: f32 = 1e-4;
 /// Share of a soup's pixels that may differ by more: rims of shapes that rounding moves over a sample.
 /// Seen: 0.004.
 const RIM: f64 = 0.008;
+
+/// The same of four samples at once, whose untextured colours are taken somewhere inside what is covered.
+const FOUR_RIM: f64 = 0.016;
 
 /// The same of windows on random depths, which a step of parallax carries far. Seen: 0.023.
 const RIM_OF_DEPTHS: f64 = 0.04;
@@ -70,6 +75,7 @@ fn differences(a: &Frame, b: &Frame) -> [(&'static str, f64); 6] {
     };
     let far = |a: Vec4, b: Vec4| (a - b).abs().max_element() > COLOR_TOLERANCE;
     let near = |a: f32, b: f32| a == b || (a - b).abs() <= DEPTH_TOLERANCE * b.abs();
+    // a code's rounding, and what the colour may be off
     let coded = |at: usize| a.color8[at].iter().zip(b.color8[at]).any(|(a, b)| a.abs_diff(b) > 2);
     let turned = |a: Vec3, b: Vec3| (a - b).abs().max_element() > NORMAL_TOLERANCE;
     [
@@ -128,11 +134,113 @@ fn soups_look_alike() {
             check("soup with levels", &list, &view, (sample_count, ALL), LEVELS);
         }
         // colour alone is drawn with four samples at once
-        check("soup", &flat, &view, (4, Outputs::COLOR), 2.0 * RIM);
+        check("soup", &flat, &view, (4, Outputs::COLOR), FOUR_RIM);
         check("soup with levels", &list, &view, (4, Outputs::COLOR), LEVELS);
         check("soup", &flat, &view, (4, Outputs::COLOR_DEPTH), RIM);
         // nothing but depth: what a shadow map is
         check("soup", &flat, &view, (1, Outputs { color: false, ..Outputs::COLOR_DEPTH }), RIM);
+    }
+}
+
+#[test]
+fn opaque_soups_have_their_nearest_samples_depth() {
+    // without blended shapes, whose depth is searched, four samples are drawn at once with depth, too
+    for view in soup_views() {
+        let mut list = flat(soup(2, &view));
+        list.items.retain(|item| item.blend != Blend::Over);
+        check("opaque soup", &list, &view, (4, Outputs::COLOR_DEPTH), FOUR_RIM);
+    }
+}
+
+#[test]
+fn blended_shapes_that_write_depth_hide_where_they_show() {
+    for view in soup_views() {
+        let mut list = flat(soup(4, &view));
+        for item in &mut list.items {
+            item.depth_write = true;
+        }
+        let found: usize = list.items.iter().filter(|item| item.blend == Blend::Over).count();
+        assert!(found > 5, "{found} blended items");
+        check("blended soup", &list, &view, (1, ALL), RIM);
+    }
+}
+
+/// One card over the whole of a picture, from texture coordinates (0, 0) to so many.
+fn card(view: &View, size: Vec2, alpha: f32, surface: Surface, blend: Blend) -> DrawList {
+    let (width, height) = (view.width as f32, view.height as f32);
+    let corners = [[0.0, 0.0], [0.0, height], [width, height], [width, 0.0]];
+    let mut data = buffers(&corners.map(|[x, y]| [x, y, 0.0]), &[0, 1, 2, 3]);
+    data.uvs =
+        [[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]].map(|uv| Vec2::from(uv) * size).to_vec();
+    data.base.iter_mut().for_each(|base| base.w = alpha);
+    let mut list = DrawList::default();
+    add(&mut list, view, Primitive::Cards, data, blend);
+    list.items[0].surface = surface;
+    list
+}
+
+const REPEATED: Sampler = Sampler { wrap: [Wrap::Repeat; 2], filter: Filter::Trilinear };
+
+#[test]
+fn levels_of_detail_are_those_of_the_longer_step() {
+    // levels that are known by their grey: the picture says which is read
+    let level = |number: u8| {
+        let side = 64 >> number;
+        let grey = 40 * number + 10;
+        Image::new(side, side, vec![[grey, grey, grey, 255]; (side * side) as usize])
+    };
+    let levels = (0..=6).map(|number| level(number).expect("valid")).collect();
+    let texture = Texture::new(levels).expect("halves");
+    let view = pixel_view(64, 32);
+    // texels a pixel: 1 and 1, 8 and 1, 1 and 8, 3 and 5
+    for size in [[1.0, 0.5], [8.0, 0.5], [1.0, 4.0], [3.0, 2.5]] {
+        let surface = Surface::Textured { texture: 0, sampler: REPEATED };
+        let mut list = card(&view, Vec2::from(size), 1.0, surface, Blend::Opaque);
+        list.textures.push(Arc::clone(&texture));
+        check("levels", &list, &view, (1, Outputs::COLOR), 0.0);
+    }
+}
+
+#[test]
+fn mapped_leaves_look_alike() {
+    for (seed, view) in (0..4).flat_map(|seed| soup_views().map(|view| (seed, view))) {
+        let others = soup(seed, &view);
+        let view = pixel_view(96, 64);
+        let sampler = Sampler { wrap: [Wrap::Clamp; 2], filter: Filter::Bilinear };
+        let surface = Surface::Indirect { distribution: 0, leaves: 0, sampler };
+        for blend in [Blend::Opaque, Blend::Test(0.4)] {
+            let mut list = card(&view, Vec2::ONE, 1.0, surface, blend);
+            list.textures = others.textures.clone();
+            list.distributions = others.distributions.clone();
+            check("leaves", &list, &view, (1, ALL), RIM);
+        }
+    }
+}
+
+#[test]
+fn alpha_that_equals_a_cutoff_passes() {
+    // 51 of 255 as a half is below 0.2
+    let view = pixel_view(4, 4);
+    for (code, cutoff) in [(51, 0.2), (102, 0.4), (128, 128.0 / 255.0), (204, 0.8)] {
+        let texel = Image::new(1, 1, vec![[255, 255, 255, code]]).expect("valid");
+        let surface = Surface::Textured { texture: 0, sampler: REPEATED };
+        let mut list = card(&view, Vec2::ONE, 1.0, surface, Blend::Test(cutoff));
+        list.textures.push(Texture::new(vec![texel]).expect("one level"));
+        check("equal", &list, &view, (1, Outputs::COLOR), 0.0);
+        list.items[0].blend = Blend::Test(cutoff + 1.0 / 255.0);
+        check("below", &list, &view, (1, Outputs::COLOR), 0.0);
+    }
+    let half = card(&view, Vec2::ONE, 0.5, Surface::VertexColor, Blend::Coverage);
+    check("half covered", &half, &view, (1, Outputs::COLOR), 0.0);
+}
+
+#[test]
+fn windows_are_cut_at_the_near_plane() {
+    for mut view in windows::views() {
+        // among the windows, so that some of what they show is nearer
+        view.near = 3.0;
+        let list = flat(windows::list(3, &view));
+        check("near windows", &list, &view, (1, ALL), RIM_OF_DEPTHS);
     }
 }
 
@@ -174,7 +282,7 @@ fn copies_that_fade_and_are_mirrored_look_alike() {
             check("fading soup", &list, &view, (sample_count, ALL), RIM);
             check("doubled soup", &doubled, &view, (sample_count, ALL), RIM);
         }
-        check("fading soup", &list, &view, (4, Outputs::COLOR), 2.0 * RIM);
+        check("fading soup", &list, &view, (4, Outputs::COLOR), FOUR_RIM);
     }
 }
 
@@ -281,8 +389,11 @@ fn a_picture_that_nobody_wants_any_more_is_not_drawn() {
     let [view, _] = soup_views();
     let job = Job::default();
     job.cancel();
-    match render(None, &soup(0, &view), &view, &settings(64, ALL), &job) {
+    let list = soup(0, &view);
+    match render(None, &list, &view, &settings(64, ALL), &job) {
         Err(LodError::Cancelled | LodError::NoAdapter { .. }) => {}
         other => panic!("not cancelled: {:?}", other.map(|(frame, _)| frame.stats)),
     }
+    // and the next one is as if nothing had been
+    check("after a cancelled one", &flat(list), &view, (1, ALL), RIM);
 }

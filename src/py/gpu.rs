@@ -100,13 +100,13 @@ mod card {
     }
 
     /// Name, kind, interface, driver, and whether it tells times.
-    pub(super) fn adapters() -> Result<Vec<[String; 4]>, LodError> {
+    pub(super) fn adapters(job: &Job) -> Result<Vec<[String; 4]>, LodError> {
         let words =
             |facts: AdapterFacts| [facts.name, facts.kind.to_owned(), facts.api, facts.driver];
-        Ok(gpu::adapters()?.into_iter().map(words).collect())
+        Ok(gpu::adapters(job)?.into_iter().map(words).collect())
     }
 
-    pub(super) use gpu::{close_all, fail};
+    pub(super) use gpu::{close_all, fail, release};
 }
 
 #[cfg(not(feature = "gpu"))]
@@ -139,11 +139,15 @@ mod card {
         missing()
     }
 
-    pub(super) fn adapters() -> Result<Vec<[String; 4]>, LodError> {
+    pub(super) fn adapters(_: &Job) -> Result<Vec<[String; 4]>, LodError> {
         Ok(Vec::new())
     }
 
     pub(super) fn close_all() {}
+
+    pub(super) fn release(_: &Job) -> Result<(), LodError> {
+        Ok(())
+    }
 
     pub(super) fn fail(_: Option<&str>, _: &str) -> Result<(), LodError> {
         missing()
@@ -153,7 +157,7 @@ mod card {
 /// Adapters, the one that is taken where nobody chooses first: their name, kind, interface and driver.
 #[pyfunction]
 pub(super) fn adapters(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
-    run(py, None, None, |_| card::adapters())?
+    run(py, None, None, card::adapters)?
         .into_iter()
         .map(|[name, kind, api, driver]| {
             let facts = PyDict::new(py);
@@ -164,6 +168,12 @@ pub(super) fn adapters(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
             Ok(facts)
         })
         .collect()
+}
+
+/// Lets go of every device with all that is on it; the next picture opens another.
+#[pyfunction]
+pub(super) fn release_devices(py: Python<'_>) -> PyResult<()> {
+    run(py, None, None, card::release)
 }
 
 /// Drops every device; none can be opened after that.

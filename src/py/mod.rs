@@ -110,7 +110,7 @@ mod _core {
     #[pymodule_export]
     use super::foliage_hierarchy::{FoliageHierarchy, foliage_hierarchy, stored_hierarchy};
     #[pymodule_export]
-    use super::gpu::{_fail_for_test, adapters, close_devices};
+    use super::gpu::{_fail_for_test, adapters, close_devices, release_devices};
     #[pymodule_export]
     use super::grow::{grow, preset_names};
     #[pymodule_export]
