@@ -181,8 +181,10 @@ def test_a_plant_far_from_the_eye_is_drawn_alike(orthographic, plant):
         fov_y_deg = float(np.rad2deg(14.0 / 1e5))
         camera = tl.Camera.perspective(eye, target, fov_y_deg=fov_y_deg, size=SIZE)
     processor, card = both(mesh, camera, samples=1)
-    # depths of leaves that touch differ by less than f32 tells apart
-    assert shares(processor, card)[0] <= 5 * RIM[1]
+    # which of two leaves is nearer cannot be told where they are closer than that, on either
+    off = np.abs(processor.color[..., 3] - card.color[..., 3]) > COLOR_TOLERANCE
+    assert off.sum() <= RIM[1] * (processor.color[..., 3] > 0).sum()
+    assert shares(processor, card)[0] <= 10 * RIM[1]
 
 
 def test_all_planes_are_alike(plant, camera):
@@ -404,7 +406,9 @@ def test_the_process_ends_while_others_still_draw():
 
 
 def test_a_lost_device_is_the_loss_of_one_thread_alone():
-    code = SCENE + """
+    code = (
+        SCENE
+        + """
     from treelod import _core
     draw()
     ends = []
@@ -428,6 +432,7 @@ def test_a_lost_device_is_the_loss_of_one_thread_alone():
             worker.join()
     print(ends == ["drew"] * 12)
     """
+    )
     done = run_python(code, TREELOD_NUM_THREADS="8")
     assert (done.returncode, done.stdout.split()) == (0, ["True"]), done.stderr
 
