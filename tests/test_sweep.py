@@ -668,7 +668,7 @@ def test_every_module_is_in_the_kernel_version_or_is_known_not_to_be():
         "__init__.py", "__main__.py", "cli", "errors.py", "export.py", "files.py", "gpu.py",
         "kernel_version.py", "loading.py", "plants.py", "plots.py", "provenance.py", "terminal.py",
         "walks.py", "bench", "plant_files", "plots", "popping.py", "references", "report", "sweeps",
-        "notebook.py", "testing.py", "gpu.py",
+        "notebook.py", "testing.py",
     }  # fmt: skip
     rest = {
         file.relative_to(package).parts[0] for file in package.glob("**/*.py") if file not in named

@@ -67,9 +67,9 @@ def release() -> None:
     """
     Let go of every graphics card, and of all memory on it.
 
-    What techniques share is kept on a card as long as they live, and a picture's planes until one of
-    another size is drawn. The next picture begins anew. Whoever draws in another thread draws to
-    the end.
+    What techniques share is kept on a card as long as they live, and a picture's planes until one
+    of another size is drawn. The next picture begins anew. Whoever draws in another thread draws
+    to the end.
 
     Raises
     ------
