@@ -405,7 +405,8 @@ mod tests {
     use crate::gpu::device;
     use crate::job::Job;
 
-    /// All keys, but for those that differ in what shaders do not see.
+    /// Keys of all shapes, looks, mixings, slabs and fades, for pictures of colour, of all planes and of
+    /// depth alone.
     fn keys() -> Vec<Key> {
         let flags = [false, true];
         let color = Targets { color: true, ..Targets::default() };
