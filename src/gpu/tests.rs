@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use glam::{DAffine3, Mat3, Vec2, Vec3, Vec4};
+use glam::{DAffine3, DVec3, Mat3, Vec2, Vec3, Vec4};
 
 use super::device::renderer_of_its_own;
 use super::render;
@@ -14,7 +14,7 @@ use crate::raster::parallax::tests as windows;
 use crate::raster::tests::{add, buffers, pixel_view, soup, soup_views};
 use crate::raster::{Frame, Outputs, Renderer, Settings};
 use crate::texture::{Filter, Image, Sampler, Texture, Wrap};
-use crate::view::View;
+use crate::view::{Projection, View};
 
 const ALL: Outputs =
     Outputs { color: true, depth: true, ids: true, normal: true, albedo: true, color8: true };
@@ -236,11 +236,12 @@ fn alpha_that_equals_a_cutoff_passes() {
 
 #[test]
 fn windows_are_cut_at_the_near_plane() {
-    for mut view in windows::views() {
-        // among the windows, so that some of what they show is nearer
-        view.near = 3.0;
-        let list = flat(windows::list(3, &view));
-        check("near windows", &list, &view, (1, ALL), RIM_OF_DEPTHS);
+    // the wall stands one metre before the window: at 0.5, at 0.25, and at 0.15 before a plane at 0.2
+    let projection = Projection::Perspective { fov_y: 0.5 };
+    for eye in [1.5, 1.25, 1.15] {
+        let view = View::new(DVec3::Z * eye, DVec3::ZERO, DVec3::Y, projection, (4, 4), 0.2);
+        let view = view.expect("valid");
+        check("wall", &windows::window_on_a_wall(&view, 0.0), &view, (1, ALL), 0.0);
     }
 }
 
@@ -298,6 +299,7 @@ fn rows_of_points(view: &View, count: u32, blend: Blend) -> DrawList {
         *front = Vec3::new((index % 7) as f32 / 7.0, (index % 11) as f32 / 11.0, 0.5);
     }
     data.base.iter_mut().for_each(|base| base.w = 0.3);
+    data.source_ids = (0..count).map(|index| index ^ 5).collect();
     let mut list = DrawList::default();
     add(&mut list, view, Primitive::Points { size_px: 1.0 }, data, blend);
     list
@@ -309,7 +311,7 @@ fn items_longer_than_one_call_are_drawn_in_order() {
     let view = pixel_view(64, 32);
     for blend in [Blend::Opaque, Blend::Over] {
         let mut list = rows_of_points(&view, 600_000, blend);
-        let behind = Instance::new(&DAffine3::from_translation(glam::DVec3::NEG_Z), &view);
+        let behind = Instance::new(&DAffine3::from_translation(DVec3::NEG_Z), &view);
         list.instances.insert(0, behind);
         list.items[0].instances = 0..2;
         check("points", &list, &view, (1, ALL), 0.0);

@@ -277,9 +277,14 @@ fn depth_is_that_of_what_is_seen_and_not_of_the_window() {
     }
 }
 
-/// Colour and depth of a picture of 4 x 4 pixels, one sample each, through a window on a wall one metre
-/// before the middle of a copy that stands at the origin, turned about the vertical.
+/// Colour and depth of a picture of 4 x 4 pixels, one sample each, through a window on a wall.
 fn through_a_window(view: &View, turn: f64) -> Picture {
+    draw(&window_on_a_wall(view, turn), view, 1, Level::chosen().expect("one"), 1)
+}
+
+/// A window on a wall one metre before the middle of a copy that stands at the origin, turned about the
+/// vertical.
+pub(crate) fn window_on_a_wall(view: &View, turn: f64) -> DrawList {
     let mut list = DrawList::default();
     let matrix3 = DMat3::from_rotation_y(turn);
     let placed = DAffine3 { matrix3, translation: DVec3::ZERO };
@@ -288,7 +293,7 @@ fn through_a_window(view: &View, turn: f64) -> Picture {
     let looked = surface(&mut list, &wall(0.75), 1, Filter::Bilinear);
     let toward = (matrix3.transpose() * DVec3::Z).as_vec3();
     add(&mut list, window(Vec3::ZERO, toward, 1.5), instance, looked, Blend::Test(0.5));
-    draw(&list, view, 1, Level::chosen().expect("one"), 1)
+    list
 }
 
 #[test]
