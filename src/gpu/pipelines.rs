@@ -403,6 +403,7 @@ pub(crate) fn trimmed<T>(mut targets: Vec<Option<T>>) -> Vec<Option<T>> {
 mod tests {
     use super::*;
     use crate::gpu::device;
+    use crate::gpu::tests::check_translation;
     use crate::job::Job;
 
     /// Keys of all shapes, looks, mixings, slabs and fades, for pictures of colour, of all planes and of
@@ -449,6 +450,13 @@ mod tests {
             }
         }
         keys
+    }
+
+    #[test]
+    fn every_key_is_a_shader_of_metal_and_directx_too() {
+        for key in keys() {
+            check_translation(&key.source(), &key);
+        }
     }
 
     #[test]

@@ -226,11 +226,31 @@ impl Drawn {
     }
 }
 
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kernel {
     Add,
     Finish,
     Search,
+}
+
+fn source_of(kernel: Kernel, shape: &Shape, has_four_colors: bool) -> String {
+    let source = match kernel {
+        Kernel::Add | Kernel::Finish => include_str!("sum.wgsl"),
+        Kernel::Search => include_str!("search.wgsl"),
+    };
+    let Targets { color, albedo, normal, ids } = shape.targets;
+    filled(source, &|name| match name {
+        "FINISH" => kernel == Kernel::Finish,
+        "FOUR" => shape.four,
+        "FOUR_COLORS" => has_four_colors,
+        "COLOR" => color,
+        "COLOR8" => shape.color8,
+        "ALBEDO" => albedo,
+        "NORMAL" => normal,
+        "DEPTH" => shape.depth,
+        "IDS" => ids,
+        _ => unreachable!("no condition is called {name}"),
+    })
 }
 
 fn kernel(
@@ -247,10 +267,10 @@ fn kernel(
     let uniform = buffer_entry(0, stage, BufferBindingType::Uniform);
     let float = TextureSampleType::Float { filterable: false };
     let has_four_colors = shape.four && drawn.resolved.is_none();
-    let (source, entry_point) = match kernel {
-        Kernel::Add => (include_str!("sum.wgsl"), "add"),
-        Kernel::Finish => (include_str!("sum.wgsl"), "finish"),
-        Kernel::Search => (include_str!("search.wgsl"), "step"),
+    let entry_point = match kernel {
+        Kernel::Add => "add",
+        Kernel::Finish => "finish",
+        Kernel::Search => "step",
     };
     let entries = if kernel == Kernel::Search {
         vec![uniform, texture_entry(1, stage, float, false), buffer_entry(2, stage, written)]
@@ -282,19 +302,7 @@ fn kernel(
             resources.extend([color, depth, albedo, normal, ids].map(view));
         }
     }
-    let Targets { color, albedo, normal, ids } = shape.targets;
-    let source = filled(source, &|name| match name {
-        "FINISH" => kernel == Kernel::Finish,
-        "FOUR" => shape.four,
-        "FOUR_COLORS" => has_four_colors,
-        "COLOR" => color,
-        "COLOR8" => shape.color8,
-        "ALBEDO" => albedo,
-        "NORMAL" => normal,
-        "DEPTH" => shape.depth,
-        "IDS" => ids,
-        _ => unreachable!("no condition is called {name}"),
-    });
+    let source = source_of(kernel, shape, has_four_colors);
     let layout: BindGroupLayout = gpu.device.create_bind_group_layout(&BindGroupLayoutDescriptor {
         label: Some(entry_point),
         entries: &entries,
@@ -317,4 +325,30 @@ fn kernel(
         cache: None,
     });
     (pipeline, group(gpu, entry_point, &layout, &resources))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::tests::check_translation;
+
+    #[test]
+    fn every_kernel_is_a_shader_of_metal_and_directx_too() {
+        let flags = [false, true];
+        let mut count = 0;
+        for bits in 0..1_u32 << 7 {
+            let [color, albedo, normal, ids, depth, color8, four] =
+                std::array::from_fn(|place| bits >> place & 1 == 1);
+            let targets = Targets { color, albedo, normal, ids };
+            let shape =
+                Shape { width: 8, height: 8, targets, depth, color8, four, searches: false };
+            for has_four_colors in flags.into_iter().filter(|wanted| !wanted || four) {
+                for kernel in [Kernel::Add, Kernel::Finish, Kernel::Search] {
+                    check_translation(&source_of(kernel, &shape, has_four_colors), &kernel);
+                    count += 1;
+                }
+            }
+        }
+        assert_eq!(count, 3 * (64 + 2 * 64), "of all planes");
+    }
 }

@@ -1,9 +1,13 @@
 //! The same lists on the card and on the processor: random ones that hold everything a list can, and
 //! what random ones do not.
 
+use std::fmt::Debug;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Mat3, Vec2, Vec3, Vec4};
+use naga::back::{hlsl, msl};
+use naga::front::wgsl;
+use naga::valid::{Capabilities, ValidationFlags, Validator};
 
 use super::device::renderer_of_its_own;
 use super::render;
@@ -43,6 +47,32 @@ const RIM_OF_DEPTHS: f64 = 0.04;
 /// The same where levels of detail are read, which a card measures over two by two pixels; the levels of
 /// a soup's textures have nothing to do with one another. Seen: 0.077 and 0.123.
 const LEVELS: f64 = 0.15;
+
+/// Translates a shader as wgpu does for Metal and for DirectX 12, which these tests do not run on.
+pub(super) fn check_translation(source: &str, what: &dyn Debug) {
+    let module = wgsl::parse_str(source)
+        .unwrap_or_else(|error| panic!("{what:?}: {}", error.emit_to_string(source)));
+    let capabilities = Capabilities::default() | Capabilities::MULTISAMPLED_SHADING;
+    let info = Validator::new(ValidationFlags::all(), capabilities)
+        .validate(&module)
+        .unwrap_or_else(|error| panic!("{what:?}: {}", error.emit_to_string(source)));
+    let (options, pipeline) = (hlsl::Options::default(), hlsl::PipelineOptions::default());
+    let mut text = String::new();
+    let written = hlsl::Writer::new(&mut text, &options, &pipeline)
+        .write(&module, &info, None)
+        .unwrap_or_else(|error| panic!("{what:?} in HLSL: {error}"));
+    for name in written.entry_point_names {
+        name.unwrap_or_else(|error| panic!("{what:?} in HLSL: {error}"));
+    }
+    // of macOS 10.14 and iOS 12, the first with invariant positions
+    let options = msl::Options { lang_version: (2, 1), ..msl::Options::default() };
+    let pipeline = msl::PipelineOptions::default();
+    let (_, written) = msl::write_string(&module, &info, &options, &pipeline)
+        .unwrap_or_else(|error| panic!("{what:?} in MSL: {error}"));
+    for name in written.entry_point_names {
+        name.unwrap_or_else(|error| panic!("{what:?} in MSL: {error}"));
+    }
+}
 
 fn settings(sample_count: u32, outputs: Outputs) -> Settings {
     let background = Vec4::new(0.1, 0.2, 0.3, 0.5);
