@@ -264,14 +264,15 @@ def test_the_same_bytes_each_time(plant, camera):
 
 def test_cards_are_chosen_by_name_and_kind(plant, camera, card, monkeypatch):
     mesh = tl.FullMesh.build(plant)
-    for name in (card.name, card.name[:5].upper(), card.kind, card.api):
+    place = f"#{tl.gpu.adapters().index(card)}"
+    for name in (card.name, card.name[:5].upper(), card.kind, card.api, place):
         assert tl.render(mesh, camera, backend="gpu", adapter=name).stats.adapter == card.name
-    with pytest.raises(
-        tl.NoAdapterError, match=r"called \"nonesuch\"; there are .*" + card.name[:4]
-    ):
-        tl.render(mesh, camera, backend="gpu", adapter="Nonesuch")
+    for wrong in ("Nonesuch", "#99", "#"):
+        said = f'^adapter is "{wrong.lower()}", and .* there are .*{card.name[:4]}'
+        with pytest.raises(tl.NoAdapterError, match=said):
+            tl.render(mesh, camera, backend="gpu", adapter=wrong)
     monkeypatch.setenv("TREELOD_ADAPTER", "nonesuch")
-    with pytest.raises(tl.NoAdapterError, match="nonesuch"):
+    with pytest.raises(tl.NoAdapterError, match=r'^TREELOD_ADAPTER is "nonesuch"'):
         tl.render(mesh, camera, backend="gpu")
     with pytest.raises(tl.NoAdapterError, match="nonesuch"):
         tl.render(mesh, camera, backend="gpu", adapter=" ")

@@ -279,6 +279,14 @@ def test_times_are_one_a_repeat(mesh, slicings):
     for wrong in ({"repeats": 0}, {"warmup": -1}, {"samples": 2}, {"threads": 0}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             tl.time_frames({"mesh": mesh}, CAMERA, **wrong)
+    with pytest.raises(TypeError, match=r"^subjects must be a mapping .*, got FullMesh"):
+        tl.time_frames(mesh, CAMERA)
+
+
+@pytest.mark.parametrize("samples", [4.0, "4", None])
+def test_samples_are_whole(mesh, samples):
+    with pytest.raises(TypeError, match=r"^samples must be an int, got "):
+        tl.render(mesh, CAMERA, samples=samples)
 
 
 def test_a_frame_never_changes(mesh):

@@ -23,7 +23,8 @@ class Adapter:
     Attributes
     ----------
     name : str
-        Its name; a part of it chooses the card.
+        Its name; a part of it chooses the card. Of equal cards the place in the list does: ``"#1"``
+        is the second.
     kind : {'discrete', 'integrated', 'virtual', 'cpu', 'other'}
         What it is; ``'cpu'`` is a program that draws on the processor.
     api : {'vulkan', 'metal', 'dx12'}

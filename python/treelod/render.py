@@ -216,8 +216,9 @@ def render(
     state : ViewState, optional
         What is remembered from the frame before. Default: nothing is.
     adapter : str, optional
-        Which graphics card, with ``backend="gpu"``: a part of its name, in any case, or its kind
-        (`gpu.adapters` lists both). Default: ``TREELOD_ADAPTER``, else the first one.
+        Which graphics card, with ``backend="gpu"``: a part of its name, in any case, its kind, or
+        its place in the list of `gpu.adapters`, as ``"#1"`` for the second. Default:
+        ``TREELOD_ADAPTER``, else the first one.
 
     Returns
     -------
@@ -370,6 +371,12 @@ def frame_times(
     if operator.index(warmup) < 0 or operator.index(repeats) < 1:
         msg = f"warmup must be at least 0 and repeats at least 1, got {warmup} and {repeats}"
         raise ValueError(msg)
+    if not isinstance(subjects, Mapping):
+        msg = (
+            "subjects must be a mapping of labels to techniques or scenes, got "
+            f"{type(subjects).__name__}"
+        )
+        raise TypeError(msg)
     samples, threads = sample_count(samples), thread_count(threads)
     facts = camera_facts(camera)
     runs = {label: (_core.Renderer(), _scene(subject)._core) for label, subject in subjects.items()}
@@ -450,7 +457,11 @@ def check_backend(backend: str, adapter: str | None) -> None:
 
 def sample_count(samples: int) -> int:
     """Refuse sample counts for which there are no positions."""
-    count = operator.index(samples)
+    try:
+        count = operator.index(samples)
+    except TypeError:
+        msg = f"samples must be an int, got {type(samples).__name__}"
+        raise TypeError(msg) from None
     if count not in (1, 4, 8, 16) and not 17 <= count <= 65536:
         msg = f"samples must be in 1, 4, 8, 16 or 17..=65536, got {count}"
         raise ValueError(msg)

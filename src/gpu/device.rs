@@ -384,27 +384,35 @@ pub fn adapters(job: &Job) -> Result<Vec<AdapterFacts>, LodError> {
 }
 
 /// The renderer of the adapter whose name contains `name`, in any case, or which is of that kind or spoken to
-/// through that interface; nothing: what `TREELOD_ADAPTER` names, else the first.
+/// through that interface, or whose place in the list of [`adapters`] that is, as in `#1`, from 0; nothing: what
+/// `TREELOD_ADAPTER` names, else the first.
 ///
 /// # Errors
 /// [`LodError::NoAdapter`] if there is none, [`LodError::Device`] if it does not open.
 pub(crate) fn renderer_of(name: Option<&str>, job: &Job) -> Result<Arc<Mutex<Renderer>>, LodError> {
     let stated = |text: String| Some(text.trim().to_lowercase()).filter(|text| !text.is_empty());
     let variable = || std::env::var(ADAPTER_VARIABLE).ok().and_then(stated);
-    let wanted = name.map(str::to_owned).and_then(stated).or_else(variable);
+    let argument = name.map(str::to_owned).and_then(stated);
+    let is_variable = argument.is_none();
+    let wanted = argument.or_else(variable);
     let mut registry = registry(job)?;
     let adapters = registry.adapters()?;
-    let fits = |facts: &AdapterFacts| {
+    let fits = |(place, (facts, _)): (usize, &(AdapterFacts, Adapter))| {
         let name = facts.name.to_lowercase();
         wanted.as_ref().is_none_or(|wanted| {
-            name.contains(wanted) || facts.kind == wanted || facts.api == *wanted
+            let is_name = name.contains(wanted) || facts.kind == wanted || facts.api == *wanted;
+            is_name || *wanted == format!("#{place}")
         })
     };
-    let Some(place) = adapters.iter().position(|(facts, _)| fits(facts)) else {
+    let Some(place) = adapters.iter().enumerate().position(fits) else {
         let names: Vec<String> = adapters.iter().map(|(f, _)| format!("{:?}", f.name)).collect();
         let why = match wanted {
             Some(wanted) if !names.is_empty() => {
-                format!("no graphics adapter is called {wanted:?}; there are {}", names.join(", "))
+                let said = if is_variable { ADAPTER_VARIABLE } else { "adapter" };
+                let there = names.join(", ");
+                format!(
+                    "{said} is {wanted:?}, and no graphics adapter is called so; there are {there}"
+                )
             }
             _ => format!("there is no graphics adapter: {WHAT_TO_INSTALL}"),
         };

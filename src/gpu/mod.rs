@@ -31,8 +31,8 @@ pub use device::{ADAPTER_VARIABLE, AdapterFacts, adapters, close_all, release};
 
 /// Draws a list and copies the picture out; with the adapter that drew it.
 ///
-/// `adapter` is a part of an adapter's name, in any case, a kind of adapter or an interface; `None`: what
-/// `TREELOD_ADAPTER` names, else the first.
+/// `adapter` is a part of an adapter's name, in any case, a kind of adapter, an interface, or a place in the
+/// list of [`adapters`] such as `#1`; `None`: what `TREELOD_ADAPTER` names, else the first.
 ///
 /// # Errors
 /// As [`draw`].

@@ -28,9 +28,9 @@ def gpu() -> None:
     # in a file or a pipe, lines are as long as the table needs
     console = Console(width=None if Console().is_terminal else 160)
     table = Table()
-    for name in ("name", "kind", "interface", "driver"):
+    for name in ("", "name", "kind", "interface", "driver"):
         table.add_column(name, overflow="fold")
-    for card in cards:
-        table.add_row(*map(Text, (card.name, card.kind, card.api, card.driver)))
+    for place, card in enumerate(cards):
+        table.add_row(*map(Text, (f"#{place}", card.name, card.kind, card.api, card.driver)))
     console.print(table)
-    typer.echo("choose one with --backend gpu --adapter NAME: a part of a name, or a kind")
+    typer.echo("choose one with --backend gpu --adapter NAME: a part of a name, a kind, or #0")

@@ -72,7 +72,7 @@ AdapterName = Annotated[
         "--adapter",
         metavar="NAME",
         show_default="TREELOD_ADAPTER, else the first",
-        help="Which graphics card, by a part of its name or by its kind; `treelod gpu` lists them.",
+        help="Which graphics card, by a part of its name, its kind or its place in `treelod gpu`.",
     ),
 ]
 Seed = Annotated[
