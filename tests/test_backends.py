@@ -14,6 +14,7 @@ import treelod as tl
 from made_plants import random_crown
 from made_sweeps import errors_of
 from treelod import cli, comparison, walks
+from treelod.cli.summaries import print_summary
 from treelod.render import _times, frame_times, opened_card
 from treelod.report import write_report
 from treelod.report.walk import write_walk
@@ -152,6 +153,24 @@ def test_the_report_names_card_and_driver(compared, card, tmp_path):
     assert f"<td>graphics card</td><td>{card[0]}, driver {card[1]}" in page
     stored = pd.read_parquet(tmp_path / "results.parquet")
     assert set(stored["adapter"]) == {card[0]}
+
+
+@on_card
+def test_tables_hold_what_a_card_told_and_nothing_of_the_processor(compared, tmp_path, capsys):
+    here, there = compared
+    print_summary("here", here.summary(), 4)
+    assert "card ms" not in capsys.readouterr().out
+    assert "its clock, ms" not in write_report(here, tmp_path / "here").read_text()
+    summary = there.summary().assign(gpu_millis=[1234.0, 777.0])
+    told = there.table().groupby("label", sort=False)["gpu_millis"].median()
+    pd.testing.assert_series_equal(there.summary().set_index("label")["gpu_millis"], told)
+    print_summary("there", summary, 4)
+    printed = capsys.readouterr().out
+    assert all(words in printed for words in ("card ms", "1,234", "777"))
+    print_summary("part of it", summary.assign(gpu_millis=[1234.0, np.nan]), 4)
+    assert "1,234" in capsys.readouterr().out
+    page = write_report(there, tmp_path / "there").read_text()
+    assert page.count("its clock, ms") == (0 if told.isna().any() else 2), "in either table"
 
 
 def test_times_are_those_that_the_frames_took():
@@ -416,6 +435,8 @@ def test_gpu_lists_the_cards(command, card):
     for adapter in tl.gpu.adapters():
         assert adapter.name in done.stdout
         assert adapter.driver in done.stdout
+    places = [line.split()[1] for line in done.stdout.splitlines() if "#" in line[:8]]
+    assert places == [f"#{place}" for place in range(len(tl.gpu.adapters()))]
     assert card[0] in done.stdout
 
 

@@ -340,6 +340,7 @@ def summarised(
         frame_millis=("frame_millis", "median"),
         frame_millis_q25=("frame_millis_q25", "median"),
         frame_millis_q75=("frame_millis_q75", "median"),
+        gpu_millis=("gpu_millis", "median"),
         build_secs=("build_secs", "first"),
         triangles=("triangles", "first"),
         cards=("cards", "first"),

@@ -37,8 +37,11 @@ def print_summary(title: str, summary: pd.DataFrame, samples: int) -> None:
         console = Console(width=160)
     table = Table(title=Text(title))
     table.add_column("technique", overflow="fold")
+    # graphics cards tell their own times, most of them
+    has_card_times = summary["gpu_millis"].notna().any()
     for name in (
         "frame ms",
+        *(["card ms"] if has_card_times else []),
         "speed-up",
         "FLIP",
         "worst",
@@ -54,9 +57,11 @@ def print_summary(title: str, summary: pd.DataFrame, samples: int) -> None:
         if label == FullMesh.name:
             label += f" ({samples} samples)"
         is_timed = pd.notna(row["frame_millis"])
+        of_card = millis(row["gpu_millis"]) if pd.notna(row["gpu_millis"]) else NONE
         table.add_row(
             Text(label),
             millis(row["frame_millis"]) if is_timed else NONE,
+            *([of_card] if has_card_times else []),
             times(row["speedup"]) if is_timed else NONE,
             error(row["flip"]),
             error(row["flip_worst"]),

@@ -205,6 +205,8 @@ def _context(comparison: Comparison, table: pd.DataFrame) -> dict[str, Any]:
         "portraits": portraits,
         "reference_label": comparison.reference_label,
         "overall": overall,
+        # graphics cards tell their own times, most of them
+        "has_card_times": bool(table["gpu_millis"].notna().all()),
         "groups": groups,
         "bakes": [
             {
