@@ -50,7 +50,7 @@ def test_a_row_is_a_line_of_json_with_its_keys_in_order():
         Row(group="raster", case="c", ours_secs=0.5, peer="p", peer_secs=float("inf")).to_json()
 
 
-def test_runs_take_turns_and_medians_ignore_the_warm_up():
+def test_runs_take_turns_and_medians_ignore_warm_up_and_lead_in():
     turns = []
 
     def run(name, secs):
@@ -75,6 +75,10 @@ def test_runs_take_turns_and_medians_ignore_the_warm_up():
     assert facts["cpu"]
     assert facts["threads"] >= 1
     assert turns == ["a", "b"] * 4
+    turns.clear()
+    reports = [9.0, 9.0, 1.0, 9.0, 9.0, 2.0]
+    led_in = interleaved({"a": run("a", reports)}, repeats=1, lead_in=2)
+    assert (led_in, turns) == ({"a": 2.0}, ["a"] * 6)
     with pytest.raises(ValueError, match="repeats"):
         interleaved({}, repeats=0)
     with pytest.raises(ValueError, match="nan seconds"):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from treelod import _core, metrics
-from treelod.bench.raster import filling_camera
+from treelod.bench.raster import LEAD_IN, filling_camera
 from treelod.bench.rows import Row, interleaved
 from treelod.cameras import Camera
 from treelod.errors import NoAdapterError
@@ -108,7 +108,7 @@ def _rows(name: str, scene: Scene, camera: Camera, repeats: int) -> Iterator[Row
         runs: dict[str, Callable[[], float | None]] = {
             backend: partial(draw, backend, _core.Renderer()) for backend in ("gpu", "cpu")
         }
-        secs = interleaved(runs, repeats=repeats, warmup=2)
+        secs = interleaved(runs, repeats=repeats, lead_in=LEAD_IN)
         processor = render(scene, camera, samples=samples)
         card = render(scene, camera, samples=samples, backend="gpu")
         case = f"{name}, {camera.size[0]}x{camera.size[1]}, samples={samples}, {card.stats.adapter}"
@@ -120,4 +120,4 @@ def _rows(name: str, scene: Scene, camera: Camera, repeats: int) -> Iterator[Row
             error_kind="FLIP to the CPU renderer's picture",
         )
         if own:
-            yield row(peer="the card's own clock", peer_secs=float(np.median(own[2:])))
+            yield row(peer="the card's own clock", peer_secs=float(np.median(own[LEAD_IN + 1 :])))

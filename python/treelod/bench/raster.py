@@ -48,6 +48,9 @@ Additions, products and comparisons that the rasteriser's kernels do for each ve
 (set up, and its edges) and each sample it covers, counted in their code.
 """
 
+LEAD_IN = 2
+"""Frames in a row before the one that is counted: after them its data is where it stays."""
+
 MARGIN = 1.05
 """Of the distance at which a flat plant would just fit: boughs that reach forward need it."""
 
@@ -94,7 +97,7 @@ def rows(*, repeats: int, small: bool) -> Iterator[Row]:
                     "llvmpipe": peer.draw,
                     "copy": _copy(bytes_touched(plant, size), threads, stack),
                 }
-                secs = interleaved(runs, repeats=repeats, warmup=2)
+                secs = interleaved(runs, repeats=repeats, lead_in=LEAD_IN)
                 peer_error = rmse(peer.picture(), reference)
             row = partial(Row, group="raster", case=case, ours_secs=secs["ours"])
             yield row(

@@ -119,7 +119,11 @@ class Timing(float):
 
 
 def interleaved(
-    runs: Mapping[str, Callable[[], float | None]], *, repeats: int, warmup: int = 1
+    runs: Mapping[str, Callable[[], float | None]],
+    *,
+    repeats: int,
+    warmup: int = 1,
+    lead_in: int = 0,
 ) -> dict[str, Timing]:
     """
     Time several ways to do the same work, taking turns.
@@ -135,6 +139,9 @@ def interleaved(
         Rounds that are counted, at least 1.
     warmup : int, default 1
         Rounds that come first and are not counted.
+    lead_in : int, default 0
+        How often each does the work in every round before the time that is counted. With 0 each
+        finds in the caches what the others left there; a frame of many in a row finds its own.
 
     Returns
     -------
@@ -157,6 +164,8 @@ def interleaved(
     secs: dict[str, list[float]] = {name: [] for name in runs}
     for turn in range(-warmup, repeats):
         for name, run in runs.items():
+            for _ in range(lead_in):
+                run()
             start = time.perf_counter()
             reported = run()
             spent = time.perf_counter() - start if reported is None else reported

@@ -18,7 +18,7 @@ import numpy as np
 
 from treelod import _core
 from treelod.bench.llvmpipe import Llvmpipe
-from treelod.bench.raster import filling_camera
+from treelod.bench.raster import LEAD_IN, filling_camera
 from treelod.bench.rows import Row, interleaved
 from treelod.bench.subjects import Cloud, GrownMesh, Subject
 from treelod.bench.vtk_points import VtkCloud
@@ -119,7 +119,7 @@ def _rows_of(
             "llvmpipe": card.draw,
             "vtk": vtk.draw,
         }
-        secs = interleaved(runs, repeats=repeats, warmup=2)
+        secs = interleaved(runs, repeats=repeats, lead_in=LEAD_IN)
         ours, _ = subject.picture(renderer, samples=samples)
         card_alone = _alone(ours[..., 3], card.picture()[..., 3])
         # VTK's picture has no coverage, and 8 bits
@@ -208,7 +208,7 @@ def _mixed_rows(
             "scalar": partial(draw, scalar),
             "llvmpipe": card.draw,
         }
-        secs = interleaved(runs, repeats=repeats)
+        secs = interleaved(runs, repeats=repeats, lead_in=LEAD_IN)
         ours, _ = subject.picture(best, samples=samples)
         alone = _alone(ours[..., 3], card.picture()[..., 3])
     case = (
