@@ -154,14 +154,20 @@ fn sample(
 }
 
 /// Whether a shape covers a point, by the definition of the top-left rule.
-fn contains(shape: &Shape, [x, y]: [i32; 2]) -> bool {
+pub(crate) fn contains(shape: &Shape, [x, y]: [i32; 2]) -> bool {
     if shape.tag.has(flags::RECT) {
         return (shape.x[0]..=shape.x[1]).contains(&x) && (shape.y[0]..=shape.y[1]).contains(&y);
     }
-    (0..3).all(|from| {
-        let to = (from + 1) % 3;
-        let along = (shape.x[to] - shape.x[from], shape.y[to] - shape.y[from]);
-        let across = (x - shape.x[from], y - shape.y[from]);
+    let corner = |number: usize| [shape.x[number], shape.y[number]];
+    let [first, second, third] = [corner(0), corner(1), corner(2)];
+    let mut corners = vec![first, second, third];
+    if shape.tag.has(flags::LINE) {
+        corners.insert(2, [0, 1].map(|axis| second[axis] + third[axis] - first[axis]));
+    }
+    (0..corners.len()).all(|number| {
+        let (from, to) = (corners[number], corners[(number + 1) % corners.len()]);
+        let along = (to[0] - from[0], to[1] - from[1]);
+        let across = (x - from[0], y - from[1]);
         let side =
             i64::from(along.0) * i64::from(across.1) - i64::from(along.1) * i64::from(across.0);
         let top_or_left = along.1 < 0 || (along.1 == 0 && along.0 > 0);

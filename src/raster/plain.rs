@@ -5,13 +5,13 @@ use fearless_simd::{f32x8, u32x8};
 
 use crate::raster::coverage::{Before, Covered, Lanes, covered};
 use crate::raster::setup::{Shape, flags};
-use crate::raster::spans::{Corners, Edges};
+use crate::raster::spans::{Corners, Edges, LINE, TRIANGLE};
 use crate::raster::visible::{Depth, index};
 use crate::simd::{Kernel, LANE_COUNT};
 
-/// Shapes to draw into a tile: those before the first that is not plain. Running it gives how many
-/// those are, and the pixels they cover, if wanted.
-pub(crate) struct Plain<'a> {
+/// Shapes to draw into a tile: those before the first of another kind, which is [`LINE`] or [`TRIANGLE`],
+/// rectangles among the latter. Running it gives how many those are, and the pixels they cover, if wanted.
+pub(crate) struct Plain<'a, const EDGES: usize> {
     pub(crate) lanes: &'a Lanes,
     /// The unit's.
     pub(crate) shapes: &'a [Shape],
@@ -30,7 +30,7 @@ pub(crate) struct Plain<'a> {
     pub(crate) counts_fragments: bool,
 }
 
-impl Kernel for Plain<'_> {
+impl<const EDGES: usize> Kernel for Plain<'_, EDGES> {
     type Output = (usize, u64);
 
     #[inline(always)]
@@ -44,7 +44,10 @@ impl Kernel for Plain<'_> {
     }
 }
 
-impl Plain<'_> {
+impl<const EDGES: usize> Plain<'_, EDGES> {
+    /// What tells its shapes.
+    const KIND: u32 = if EDGES == LINE { flags::LINE } else { flags::PLAIN };
+
     #[inline(always)]
     fn draw<S: Simd, const BLOCKS: usize, const COUNTS: bool>(self, simd: S) -> (usize, u64) {
         let Self { lanes, shapes, chosen, first_reference, tile_box, side, keys, waiting, .. } =
@@ -56,7 +59,7 @@ impl Plain<'_> {
         let tags = |shapes: &[Shape], numbers: &[u32]| {
             numbers
                 .iter()
-                .fold(flags::PLAIN, |all, &number| all & shapes[number as usize].tag.flags())
+                .fold(Self::KIND, |all, &number| all & shapes[number as usize].tag.flags())
         };
         let mut are_plain = 0;
         while done < chosen.len() {
@@ -68,10 +71,10 @@ impl Plain<'_> {
             for (lane, &number) in next.iter().enumerate() {
                 corners.put(lane % LANE_COUNT, &shapes[number as usize]);
             }
-            let edges = Edges::new(simd, lanes, &corners, tile_box);
+            let edges = Edges::<EDGES>::new(simd, lanes, &corners, tile_box);
             for (lane, &number) in next.iter().enumerate() {
                 let shape = &shapes[number as usize];
-                if all_plain == 0 && !shape.tag.has(flags::PLAIN) {
+                if all_plain == 0 && !shape.tag.has(Self::KIND) {
                     return (done, fragment_count);
                 }
                 done = done.wrapping_add(1);
@@ -89,7 +92,8 @@ impl Plain<'_> {
                     before: Before::default(),
                     fragment_count: 0,
                 };
-                if shape.tag.has(flags::RECT) || shape.tag.has(flags::WIDE) {
+                let is_general = shape.tag.has(flags::RECT) || shape.tag.has(flags::WIDE);
+                if EDGES == TRIANGLE && is_general {
                     covered::<S, BLOCKS, true>(
                         simd,
                         lanes,

@@ -41,6 +41,9 @@ pub(crate) mod flags {
     pub(crate) const WIDE: u32 = 8;
     /// Opaque, writes its depth, and is there as a whole: no slab or fade takes a part of it.
     pub(crate) const PLAIN: u32 = 16;
+    /// A parallelogram: its corners are the first and that one's neighbours along and across the line.
+    /// As plain as shapes with that flag, and never wide.
+    pub(crate) const LINE: u32 = 32;
 }
 
 /// A shape's segment, as an index into its unit's `segments`, and `flags`.
@@ -55,7 +58,7 @@ impl Tag {
         Self(number << Self::FLAG_BITS)
     }
 
-    fn with(self, flags: u32) -> Self {
+    pub(crate) fn with(self, flags: u32) -> Self {
         Self(self.0 | flags)
     }
 
@@ -72,7 +75,7 @@ impl Tag {
     }
 }
 
-/// What a triangle or rectangle needs to be drawn: one cache line.
+/// What a triangle, rectangle or line needs to be drawn: one cache line.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(align(64))]
 pub(crate) struct Shape {
@@ -92,7 +95,7 @@ pub(crate) struct Shape {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Origin {
     /// Indices into the unit's `vertices`, in the item's order of corners; into the item's arrays
-    /// for [`flags::CLIPPED`] and [`flags::RECT`].
+    /// for [`flags::CLIPPED`], [`flags::RECT`] and [`flags::LINE`], whose far end stands twice.
     pub(crate) vertices: [u32; 3],
     /// Index of the primitive in the item's index buffer.
     pub(crate) primitive: u32,

@@ -15,6 +15,7 @@ use crate::raster::lookup::Lookup;
 use crate::raster::over::Over;
 use crate::raster::parallax::Parallax;
 use crate::raster::placing::{Placing, ScreenVertex, normal_matrix};
+use crate::raster::samples::SUBPIXEL_COUNT;
 use crate::raster::setup::{Shape, Unit, flags};
 use crate::texture::{Distribution, Filter, Sampler, Texture};
 use crate::view::View;
@@ -308,6 +309,20 @@ impl Planar {
         Self { origin: a, second, third, keys }
     }
 
+    /// Of a line's ends, the far one twice: values change along it alone.
+    #[inline]
+    fn of_line(view: &View, shape: &Shape) -> Self {
+        let step = 1.0 / SUBPIXEL_COUNT as f32;
+        let [x, y] = [shape.x, shape.y].map(|at| (at[1] - at[0]) as f32 * step);
+        let along = Vec2::new(x, y);
+        let [key, slope_x, slope_y] = shape.key;
+        let [farthest, nearest] = shape.key_range;
+        let far = (key + (slope_x * x + slope_y * y)).max(farthest).min(nearest);
+        let keys = if view.is_orthographic() { [1.0; 3] } else { [key, far, far] };
+        let second = along * (1.0 / along.length_squared());
+        Self { origin: shape.origin.into(), second, third: Vec2::ZERO, keys }
+    }
+
     /// Weights at a point, clamped to the triangle.
     #[inline]
     fn at(&self, point: Vec2) -> [f32; 3] {
@@ -359,6 +374,9 @@ impl Smooth {
         let color = |source: u32| side[source as usize].extend(1.0);
         let (planar, colors) = if origin.tag.has(flags::RECT) {
             (Planar::LEVEL, [color(origin.vertices[0]); 3])
+        } else if origin.tag.has(flags::LINE) {
+            let [near, far, _] = origin.vertices.map(color);
+            (Planar::of_line(view, &unit.shapes[index]), [near, far, far])
         } else {
             let corners = origin.vertices.map(|v| &unit.vertices[v as usize]);
             (Planar::new(view, corners), corners.map(|c| color(c.source)))
@@ -385,6 +403,8 @@ impl Weigher {
         let vertices = unit.origins[index].vertices;
         let (sources, kind) = if shape.tag.has(flags::RECT) {
             (vertices, Kind::Planar(Planar::LEVEL))
+        } else if shape.tag.has(flags::LINE) {
+            (vertices, Kind::Planar(Planar::of_line(view, shape)))
         } else if shape.tag.has(flags::CLIPPED) {
             let instance = material.instance;
             let placing = Placing::new(view, instance.linear, instance.translation);

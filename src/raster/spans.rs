@@ -1,7 +1,7 @@
-//! Which vectors of samples a small triangle may cover, row by row: edges of eight triangles set up at
-//! once, and of a triangle wider than a vector only the span of each row that its edges leave.
+//! Which vectors of samples a small triangle or line may cover, row by row: edges of eight shapes set up
+//! at once, and of a shape wider than a vector only the span of each row that its edges leave.
 //!
-//! Triangles are long and thin more often than not: most of a wide one's box lies outside it. Where
+//! Shapes are long and thin more often than not: most of a wide one's box lies outside it. Where
 //! a row's span begins and ends is found for eight rows at once, in f32 and a little too wide;
 //! whether a sample is inside is decided exactly, by the same edge functions as everywhere.
 //!
@@ -21,20 +21,17 @@ use crate::simd::LANE_COUNT;
 /// Pixels that a span is too wide on either side: far more than f32 errs over 64 pixels.
 const SLACK: f32 = 1.0 / 64.0;
 
-/// Eight numbers, one a triangle, for each of three edges.
-type Numbers<T> = [[T; LANE_COUNT]; 3];
-
-/// Corners and pixels of eight triangles.
+/// Corners and pixels of eight triangles, or of lines, whose fourth corner follows.
 #[derive(Default)]
 pub(crate) struct Corners {
-    x: Numbers<i32>,
-    y: Numbers<i32>,
+    x: [[i32; LANE_COUNT]; 3],
+    y: [[i32; LANE_COUNT]; 3],
     /// x0, y0, x1, y1, ends inclusive.
     pixels: [[i32; LANE_COUNT]; 4],
 }
 
 impl Corners {
-    /// Takes a triangle in.
+    /// Takes a shape in.
     #[inline(always)]
     pub(crate) fn put(&mut self, lane: usize, shape: &Shape) {
         for corner in 0..3 {
@@ -45,27 +42,53 @@ impl Corners {
             pixels[lane] = i32::from(pixel);
         }
     }
+
+    /// Functions of the edges between two corners: at a place in steps, and their changes a step to the
+    /// right and down.
+    #[inline(always)]
+    fn edge<S: Simd>(
+        &self,
+        simd: S,
+        [from, to]: [usize; 2],
+        [left, top]: [i32x8<S>; 2],
+    ) -> [i32x8<S>; 3] {
+        let vector = |numbers: [i32; LANE_COUNT]| i32x8::simd_from(simd, numbers);
+        let zero = i32x8::splat(simd, 0);
+        let (x, y) = (vector(self.x[from]), vector(self.y[from]));
+        let (b, dy) = (vector(self.x[to]) - x, vector(self.y[to]) - y);
+        let a = zero - dy;
+        // corners run clockwise with y down: inside is right of an edge that goes up, below one
+        // that goes right
+        let owns = dy.simd_lt(zero) | (dy.simd_eq(zero) & b.simd_gt(zero));
+        // a mask is -1 where it holds; not negative is inside, also for edges that do not own
+        [a * (left - x) + b * (top - y) - owns.to_vector() - 1, a, b]
+    }
 }
 
-/// Edge functions of eight triangles, which are negative outside: modulo 2^32, exact for triangles
-/// under 64 pixels.
-#[derive(Default)]
-pub(crate) struct Edges {
+/// Edges of a triangle.
+pub(crate) const TRIANGLE: usize = 3;
+
+/// Edges of a line, which is a parallelogram.
+pub(crate) const LINE: usize = 4;
+
+/// Functions of the `EDGES` edges of eight shapes, which are negative outside: modulo 2^32, exact for
+/// shapes under 64 pixels.
+pub(crate) struct Edges<const EDGES: usize> {
     /// At the upper left corner of the first pixel.
-    at: Numbers<i32>,
+    at: [[i32; LANE_COUNT]; EDGES],
     /// Changes a sub-pixel step to the right, and down.
-    a: Numbers<i32>,
-    b: Numbers<i32>,
+    a: [[i32; LANE_COUNT]; EDGES],
+    b: [[i32; LANE_COUNT]; EDGES],
     /// What a sample of a pixel has more than its upper left corner, at most.
-    most: Numbers<i32>,
+    most: [[i32; LANE_COUNT]; EDGES],
     /// Pixels to the right over which the function falls by one.
-    falls: Numbers<f32>,
+    falls: [[f32; LANE_COUNT]; EDGES],
     /// Pixels in the tile: x0, y0, x1, y1, ends inclusive.
     pixels: [[i32; LANE_COUNT]; 4],
 }
 
-impl Edges {
-    /// Those of triangles in a tile (x0, y0, x1, y1, ends exclusive), set up by lanes.
+impl<const EDGES: usize> Edges<EDGES> {
+    /// Those of shapes in a tile (x0, y0, x1, y1, ends exclusive), set up by lanes.
     #[inline(always)]
     pub(crate) fn new<S: Simd>(
         simd: S,
@@ -73,7 +96,14 @@ impl Edges {
         corners: &Corners,
         tile_box: [i32; 4],
     ) -> Self {
-        let mut edges = Self::default();
+        let mut edges = Self {
+            at: [[0; LANE_COUNT]; EDGES],
+            a: [[0; LANE_COUNT]; EDGES],
+            b: [[0; LANE_COUNT]; EDGES],
+            most: [[0; LANE_COUNT]; EDGES],
+            falls: [[0.0; LANE_COUNT]; EDGES],
+            pixels: [[0; LANE_COUNT]; 4],
+        };
         let vector = |numbers: [i32; LANE_COUNT]| i32x8::simd_from(simd, numbers);
         let zero = i32x8::splat(simd, 0);
         let x0 = vector(corners.pixels[0]).max(i32x8::splat(simd, tile_box[0]));
@@ -81,31 +111,39 @@ impl Edges {
         let last = [tile_box[2].wrapping_sub(1), tile_box[3].wrapping_sub(1)];
         let x1 = vector(corners.pixels[2]).min(i32x8::splat(simd, last[0]));
         let y1 = vector(corners.pixels[3]).min(i32x8::splat(simd, last[1]));
-        let [low, high] = lanes.reach();
-        let (left, top) = (x0 * SUBPIXEL_COUNT, y0 * SUBPIXEL_COUNT);
-        for (from, to) in [(0, 1), (1, 2), (2, 0)] {
-            let (x, y) = (vector(corners.x[from]), vector(corners.y[from]));
-            let (b, dy) = (vector(corners.x[to]) - x, vector(corners.y[to]) - y);
-            let a = zero - dy;
-            // corners run clockwise with y down: inside is right of an edge that goes up, below one
-            // that goes right
-            let owns = dy.simd_lt(zero) | (dy.simd_eq(zero) & b.simd_gt(zero));
-            // a mask is -1 where it holds; not negative is inside, also for edges that do not own
-            let at = a * (left - x) + b * (top - y) - owns.to_vector() - 1;
-            let most = (a * low[0]).max(a * high[0]) + (b * low[1]).max(b * high[1]);
-            let falls = -1.0 / (a * SUBPIXEL_COUNT).to_float::<f32x8<S>>();
-            let none = f32x8::splat(simd, 0.0);
-            edges.at[from] = at.into();
-            edges.a[from] = a.into();
-            edges.b[from] = b.into();
-            edges.most[from] = most.into();
-            edges.falls[from] = a.simd_eq(zero).select(none, falls).into();
-        }
         edges.pixels = [x0.into(), y0.into(), x1.into(), y1.into()];
+        let (left, top) = (x0 * SUBPIXEL_COUNT, y0 * SUBPIXEL_COUNT);
+        let first = corners.edge(simd, [0, 1], [left, top]);
+        let last = corners.edge(simd, [2, 0], [left, top]);
+        edges.put(simd, lanes, 0, first);
+        if EDGES == LINE {
+            edges.put(simd, lanes, 1, last);
+            // of opposite sides one owns its samples, and what lies before both adds up to the area
+            let most = first[2] * last[1] - first[1] * last[2] - 1;
+            edges.put(simd, lanes, 2, [most - first[0], zero - first[1], zero - first[2]]);
+            edges.put(simd, lanes, 3, [most - last[0], zero - last[1], zero - last[2]]);
+        } else {
+            edges.put(simd, lanes, 1, corners.edge(simd, [1, 2], [left, top]));
+            edges.put(simd, lanes, 2, last);
+        }
         edges
     }
 
-    /// A triangle's pixels in the tile, ends inclusive.
+    /// Takes eight shapes' edge of a number in.
+    #[inline(always)]
+    fn put<S: Simd>(&mut self, simd: S, lanes: &Lanes, edge: usize, [at, a, b]: [i32x8<S>; 3]) {
+        let [low, high] = lanes.reach();
+        let most = (a * low[0]).max(a * high[0]) + (b * low[1]).max(b * high[1]);
+        let falls = -1.0 / (a * SUBPIXEL_COUNT).to_float::<f32x8<S>>();
+        let level = a.simd_eq(i32x8::splat(simd, 0));
+        self.at[edge] = at.into();
+        self.a[edge] = a.into();
+        self.b[edge] = b.into();
+        self.most[edge] = most.into();
+        self.falls[edge] = level.select(f32x8::splat(simd, 0.0), falls).into();
+    }
+
+    /// A shape's pixels in the tile, ends inclusive.
     #[inline(always)]
     pub(crate) fn pixels(&self, lane: usize) -> PixelBox {
         let lane = lane % LANE_COUNT;
@@ -113,7 +151,7 @@ impl Edges {
         [x0[lane], y0[lane], x1[lane], y1[lane]]
     }
 
-    /// Calls `visit` for vectors that hold all samples which a triangle covers, with the samples'
+    /// Calls `visit` for vectors that hold all samples which a shape covers, with the samples'
     /// places in pixels. Some hold none.
     #[inline(always)]
     pub(crate) fn each<S: Simd, const BLOCKS: usize>(
@@ -126,17 +164,23 @@ impl Edges {
     ) {
         let lane = lane % LANE_COUNT;
         let [x0, y0, x1, y1] = self.pixels(lane);
-        let splat = |numbers: &Numbers<i32>, edge: usize| i32x8::splat(simd, numbers[edge][lane]);
         let zero = i32x8::splat(simd, 0);
-        let a = [splat(&self.a, 0), splat(&self.a, 1), splat(&self.a, 2)];
-        let b = [splat(&self.b, 0), splat(&self.b, 1), splat(&self.b, 2)];
-        let at = [splat(&self.at, 0), splat(&self.at, 1), splat(&self.at, 2)];
-        let down = [b[0] * SUBPIXEL_COUNT, b[1] * SUBPIXEL_COUNT, b[2] * SUBPIXEL_COUNT];
-        let mut inner = [[zero; 3]; BLOCKS];
+        // (what is not inlined cannot use the level's instructions, and nothing promises that `map` is)
+        let (mut a, mut b) = ([zero; EDGES], [zero; EDGES]);
+        let (mut at, mut down) = ([zero; EDGES], [zero; EDGES]);
+        for edge in 0..EDGES {
+            a[edge] = i32x8::splat(simd, self.a[edge][lane]);
+            b[edge] = i32x8::splat(simd, self.b[edge][lane]);
+            at[edge] = i32x8::splat(simd, self.at[edge][lane]);
+            down[edge] = b[edge] * SUBPIXEL_COUNT;
+        }
+        let mut inner = [[zero; EDGES]; BLOCKS];
         let mut places = [[f32x8::splat(simd, 0.0); 2]; BLOCKS];
         for (block, (inner, place)) in inner.iter_mut().zip(&mut places).enumerate() {
             let [x, y] = [lanes.steps(simd, block, 0), lanes.steps(simd, block, 1)];
-            *inner = [a[0] * x + b[0] * y, a[1] * x + b[1] * y, a[2] * x + b[2] * y];
+            for edge in 0..EDGES {
+                inner[edge] = a[edge] * x + b[edge] * y;
+            }
             *place = [lanes.pixels(simd, block, 0), lanes.pixels(simd, block, 1)];
         }
         let columns = lanes.column_vector(simd);
@@ -145,18 +189,25 @@ impl Edges {
         let (mut y, mut row_at) = (y0, 0_usize);
         let mut place_y = f32x8::splat(simd, y0 as f32);
         if BLOCKS == 1 && width < lanes.column_count {
-            // most triangles are no wider than a vector at one sample
+            // most shapes are no wider than a vector at one sample
             let beyond = i32x8::splat(simd, width) - columns;
-            let [inner_a, inner_b, inner_c] = inner[0];
-            let mut here = [inner_a + at[0], inner_b + at[1], inner_c + at[2]];
+            let mut here = inner[0];
+            for edge in 0..EDGES {
+                here[edge] += at[edge];
+            }
             let place_x = places[0][0] + x0 as f32;
             while y <= y1 {
-                let [a, b, c] = here;
-                let inside = (a | b | c | beyond).simd_ge(zero);
+                let mut all = here[0];
+                for here in &here[1..] {
+                    all |= *here;
+                }
+                let inside = (all | beyond).simd_ge(zero);
                 let bits = inside.to_bitmask();
                 let hit = Covered { x: x0, y, block: 0, at: row_at, inside, bits };
                 visit(hit, [place_x, places[0][1] + place_y]);
-                here = [a + down[0], b + down[1], c + down[2]];
+                for edge in 0..EDGES {
+                    here[edge] += down[edge];
+                }
                 y = y.wrapping_add(1);
                 place_y += 1.0;
                 row_at = row_at.wrapping_add(row_length);
@@ -164,22 +215,24 @@ impl Edges {
             return;
         }
         let vector_length = BLOCKS.wrapping_mul(LANE_COUNT);
-        let right = [a[0] * SUBPIXEL_COUNT, a[1] * SUBPIXEL_COUNT, a[2] * SUBPIXEL_COUNT];
         let rows = i32x8::simd_from(simd, [0, 1, 2, 3, 4, 5, 6, 7]);
         let endless = f32x8::splat(simd, f32::INFINITY);
         let none = f32x8::splat(simd, 0.0);
         let rightmost = i32x8::splat(simd, width);
-        let mut at = at;
+        let mut right = [zero; EDGES];
+        for edge in 0..EDGES {
+            right[edge] = a[edge] * SUBPIXEL_COUNT;
+        }
         while y <= y1 {
-            let mut starts = [zero; 3];
+            let mut starts = [zero; EDGES];
             let mut first = none;
             let mut last = rightmost.to_float::<f32x8<S>>();
-            for edge in 0..3 {
+            for edge in 0..EDGES {
                 let start = at[edge] + rows * down[edge];
                 starts[edge] = start;
-                let most: f32x8<S> = (start + splat(&self.most, edge)).to_float();
+                let most = start + i32x8::splat(simd, self.most[edge][lane]);
                 let falls = f32x8::splat(simd, self.falls[edge][lane]);
-                let ends = most * falls;
+                let ends = most.to_float::<f32x8<S>>() * falls;
                 let rises = falls.simd_lt(none);
                 let drops = falls.simd_gt(none);
                 first = first.max(rises.select(ends - SLACK, none));
@@ -187,24 +240,30 @@ impl Edges {
             }
             let first = first.ceil().to_int::<i32x8<S>>().min(rightmost);
             let last: [i32; LANE_COUNT] = last.floor().to_int::<i32x8<S>>().into();
-            let start_a: [i32; LANE_COUNT] = (starts[0] + first * right[0]).into();
-            let start_b: [i32; LANE_COUNT] = (starts[1] + first * right[1]).into();
-            let start_c: [i32; LANE_COUNT] = (starts[2] + first * right[2]).into();
+            let mut begins = [[0_i32; LANE_COUNT]; EDGES];
+            for edge in 0..EDGES {
+                begins[edge] = (starts[edge] + first * right[edge]).into();
+            }
             let place_x: [f32; LANE_COUNT] = (first + x0).to_float::<f32x8<S>>().into();
             let first: [i32; LANE_COUNT] = first.into();
             for row in 0..LANE_COUNT {
                 let mut column = first[row];
                 let skipped = index(column, 0, 0).wrapping_mul(lanes.sample_count);
                 let mut at = row_at.wrapping_add(skipped);
-                let mut here = [start_a[row], start_b[row], start_c[row]];
+                let mut here = [0; EDGES];
+                for edge in 0..EDGES {
+                    here[edge] = begins[edge][row];
+                }
                 let mut place_x = place_x[row];
                 loop {
                     let beyond = i32x8::splat(simd, width.wrapping_sub(column)) - columns;
                     let x = x0.wrapping_add(column);
                     for block in 0..BLOCKS {
-                        let [a, b, c] = inner[block];
-                        let (a, b, c) = (a + here[0], b + here[1], c + here[2]);
-                        let inside = (a | b | c | beyond).simd_ge(zero);
+                        let mut all = inner[block][0] + here[0];
+                        for edge in 1..EDGES {
+                            all |= inner[block][edge] + here[edge];
+                        }
+                        let inside = (all | beyond).simd_ge(zero);
                         let bits = inside.to_bitmask();
                         let at = at.wrapping_add(block.wrapping_mul(LANE_COUNT));
                         let hit = Covered { x, y, block, at, inside, bits };
@@ -228,7 +287,9 @@ impl Edges {
                     return;
                 }
             }
-            at = [at[0] + down[0] * 8, at[1] + down[1] * 8, at[2] + down[2] * 8];
+            for edge in 0..EDGES {
+                at[edge] += down[edge] * 8;
+            }
         }
     }
 }
@@ -243,7 +304,9 @@ mod tests {
     use super::*;
     use crate::raster::coverage::covered;
     use crate::raster::grid::Grid;
+    use crate::raster::naive::contains;
     use crate::raster::samples;
+    use crate::raster::setup::{Tag, flags};
     use crate::simd::{Kernel, Level};
     use crate::view::{Projection, View};
 
@@ -266,7 +329,7 @@ mod tests {
             let mut corners = Corners::default();
             // any lane must do
             corners.put(5, shape);
-            let edges = Edges::new(simd, lanes, &corners, tile_box);
+            let edges = Edges::<TRIANGLE>::new(simd, lanes, &corners, tile_box);
             let mut found = Found::default();
             let mut note = |hit: Covered<S>| {
                 found.1 += 1;
@@ -354,6 +417,91 @@ mod tests {
         let moved = corners.map(|[x, y]| [x, y + 128]);
         let [other, _] = found(moved, 1, whole).expect("covers samples");
         assert_ne!(other.0, spans.0, "half a pixel lower, other samples are inside");
+    }
+
+    struct LookAtLine<'a> {
+        lanes: &'a Lanes,
+        shape: &'a Shape,
+        tile_box: [i32; 4],
+    }
+
+    impl Kernel for LookAtLine<'_> {
+        type Output = BTreeSet<[i32; 3]>;
+        #[inline(always)]
+        fn run<S: Simd>(self, simd: S) -> BTreeSet<[i32; 3]> {
+            let Self { lanes, shape, tile_box } = self;
+            let mut corners = Corners::default();
+            corners.put(2, shape);
+            let edges = Edges::<LINE>::new(simd, lanes, &corners, tile_box);
+            let mut found = BTreeSet::new();
+            let sample_count = i32::try_from(lanes.sample_count).expect("few");
+            let mut note = |hit: Covered<S>| {
+                for lane in (0..8).filter(|lane| hit.bits >> lane & 1 == 1) {
+                    let column = lane * lanes.column_count / 8;
+                    let sample = (i32::try_from(hit.block).expect("two") * 8 + lane) % sample_count;
+                    assert!(found.insert([hit.x + column, hit.y, sample]), "a sample is met once");
+                }
+            };
+            let side = SIDE.unsigned_abs() as usize;
+            if lanes.block_count == 1 {
+                edges.each::<S, 1>(simd, lanes, 2, side, |hit, _| note(hit));
+            } else {
+                edges.each::<S, 2>(simd, lanes, 2, side, |hit, _| note(hit));
+            }
+            found
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(1000))]
+        #[test]
+        fn lines_cover_what_their_four_edges_hold(
+            first in [-3000..30_000, -3000..30_000],
+            along in [-8000..8000, -8000..8000],
+            // of 1/256 pixel, or on the samples of one a pixel, where edges meet them
+            grid in prop::sample::select(vec![1, 128]),
+            width in 1..1500_i32,
+            samples in prop::sample::select(vec![1_u32, 4, 8, 16]),
+            tile in prop::sample::select(vec![[0, 0, 128, 128], [32, 64, 64, 96], [64, 0, 96, 32]]),
+        ) {
+            let [first, along]: [[i32; 2]; 2] = [first, along].map(|at| at.map(|v| v / grid * grid));
+            let length = f64::from(along[0]).hypot(f64::from(along[1]));
+            prop_assume!(length > 0.0);
+            #[expect(clippy::cast_possible_truncation, reason = "as long as the width")]
+            let across = [-along[1], along[0]].map(|v| (f64::from(v * width) / length) as i32 / grid * grid);
+            prop_assume!(along[0] * across[1] - along[1] * across[0] > 0);
+            let corners = [first, [0, 1].map(|i| first[i] + along[i]), [0, 1].map(|i| first[i] + across[i])];
+            let (x, y) = (corners.map(|at| at[0]), corners.map(|at| at[1]));
+            // its pixels are those of both triangles
+            let opposite = [x[1] + x[2] - x[0], y[1] + y[2] - y[0]];
+            let boxes = [corners, [corners[1], opposite, corners[2]]]
+                .map(|half| shape(half, samples, [0, 0, SIDE, SIDE]));
+            let Some(pixels) = boxes.iter().flatten().map(|half| half.pixels).reduce(|a, b| {
+                [a[0].min(b[0]), a[1].min(b[1]), a[2].max(b[2]), a[3].max(b[3])]
+            }) else { return Ok(()) };
+            let [x0, y0, x1, y1] = pixels.map(i32::from);
+            let is_there = x0 < tile[2] && y0 < tile[3] && x1 >= tile[0] && y1 >= tile[1];
+            if !is_there {
+                return Ok(());
+            }
+            let tag = Tag::default().with(flags::LINE);
+            let line = Shape { x, y, pixels, tag, ..Shape::default() };
+            let places = samples::positions(samples).expect("allowed");
+            let lanes = Lanes::new(&places);
+            let mut expected = BTreeSet::new();
+            for (y, x) in (tile[1]..tile[3]).flat_map(|y| (tile[0]..tile[2]).map(move |x| (y, x))) {
+                for (sample, place) in (0..).zip(&places) {
+                    let at = [x * SUBPIXEL_COUNT + place[0], y * SUBPIXEL_COUNT + place[1]];
+                    if contains(&line, at) {
+                        expected.insert([x, y, sample]);
+                    }
+                }
+            }
+            for level in Level::all() {
+                let found = level.run(LookAtLine { lanes: &lanes, shape: &line, tile_box: tile });
+                prop_assert_eq!(&found, &expected, "{:?}", level);
+            }
+        }
     }
 
     proptest! {

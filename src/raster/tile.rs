@@ -17,6 +17,7 @@ use crate::raster::plain::Plain;
 use crate::raster::samples::{SUBPIXEL_COUNT, SamplePosition, alpha_threshold};
 use crate::raster::setup::{Shape, Unit, flags};
 use crate::raster::shade::{Material, Weigher};
+use crate::raster::spans::{LINE, TRIANGLE};
 use crate::raster::visible::{Sample, Sink, Visible, bits, index};
 use crate::simd::{LANE_COUNT, Level};
 use crate::view::View;
@@ -260,8 +261,12 @@ impl TileBuffer {
             while let [index, rest @ ..] = left {
                 let index = *index;
                 let shape = &unit.shapes[index as usize];
-                if shape.tag.has(flags::PLAIN) {
-                    let done = self.draw_plain(scene, tile_box, unit_index, left);
+                if shape.tag.has(flags::PLAIN) || shape.tag.has(flags::LINE) {
+                    let done = if shape.tag.has(flags::LINE) {
+                        self.draw_plain::<S, LINE>(scene, tile_box, unit_index, left)
+                    } else {
+                        self.draw_plain::<S, TRIANGLE>(scene, tile_box, unit_index, left)
+                    };
                     left = &left[done..];
                     continue;
                 }
@@ -296,8 +301,8 @@ impl TileBuffer {
         }
     }
 
-    /// Draws chosen shapes of a unit up to the first that is not plain; how many.
-    fn draw_plain<const S: usize>(
+    /// Draws chosen shapes of a unit up to the first of another kind; how many.
+    fn draw_plain<const S: usize, const EDGES: usize>(
         &mut self,
         scene: &Scene<'_, S>,
         tile_box: [i32; 4],
@@ -306,7 +311,7 @@ impl TileBuffer {
     ) -> usize {
         self.any_waiting = true;
         let Self { keys, waiting, .. } = self;
-        let (done, fragment_count) = scene.level.run(Plain {
+        let (done, fragment_count) = scene.level.run(Plain::<EDGES> {
             lanes: &scene.lanes,
             shapes: &scene.units[unit as usize].shapes,
             chosen,
