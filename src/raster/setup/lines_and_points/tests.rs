@@ -8,6 +8,7 @@ use crate::job::Job;
 use crate::raster::grid::Grid;
 use crate::raster::placing::{Chosen, Placing};
 use crate::raster::setup::cut;
+use crate::raster::tests::{add, buffers, pixel_view};
 use crate::raster::{EMPTY_ID, Frame, Outputs, Renderer, Settings, samples};
 use crate::simd::Level;
 use crate::view::{Projection, View};
@@ -127,7 +128,12 @@ fn sticks(count: u32) -> Buffers {
     data
 }
 
-fn list_of(data: &Buffers, view: &View, width_px: f32, blend: Blend) -> DrawList {
+fn list_of(
+    data: &Buffers,
+    view: &View,
+    width_px: f32,
+    (blend, slab): (Blend, Option<[f32; 2]>),
+) -> DrawList {
     let mut list = DrawList::default();
     let count = u32::try_from(data.indices.len() / 2).expect("few");
     let source = list.geometry(&Geometry::new(data.clone()));
@@ -142,7 +148,7 @@ fn list_of(data: &Buffers, view: &View, width_px: f32, blend: Blend) -> DrawList
         surface: Surface::VertexColor,
         blend,
         depth_write: true,
-        slab: None,
+        slab,
     });
     list
 }
@@ -165,20 +171,24 @@ const COLOR_TOLERANCE: f32 = 0.02;
 /// Of a normal's components, which are longer than colours are bright. Seen: 0.022.
 const NORMAL_TOLERANCE: f32 = 0.05;
 
-/// Of a depth, as a share. Seen: 0.0013, where lines that reach towards the eye are 12 pixels wide.
-const DEPTH_TOLERANCE: f32 = 0.003;
+/// Of a depth, as a share: both are computed from corners before snapping. Seen: 4e-6.
+const DEPTH_TOLERANCE: f32 = 2e-5;
 
 #[test]
 fn a_line_is_what_its_two_triangles_are() {
     let projections =
         [Projection::Perspective { fov_y: 1.2 }, Projection::Orthographic { height: 6.0 }];
-    for projection in projections {
-        let (eye, to) = (DVec3::new(0.1, 0.2, 4.0), DVec3::new(0.0, 0.1, -3.0));
+    // before the lines, and among them
+    for (projection, z) in projections.into_iter().flat_map(|p| [(p, 4.0), (p, 0.5)]) {
+        let (eye, to) = (DVec3::new(0.1, 0.2, z), DVec3::new(0.0, 0.1, -3.0));
         let view = View::new(eye, to, DVec3::Y, projection, (200, 150), 0.25).expect("valid");
-        for (width_px, sample_count) in [(1.0, 1), (0.7, 4), (3.0, 1), (12.0, 16)] {
+        let settings = [(1.0, 1, None), (0.7, 4, None), (3.0, 1, None), (12.0, 16, None)];
+        for (width_px, sample_count, slab) in
+            settings.into_iter().chain([(2.0, 1, Some([1.5, 3.5]))])
+        {
             let data = sticks(400);
-            let list = list_of(&data, &view, width_px, Blend::Opaque);
-            let in_two = list_of(&data, &view, width_px, Blend::Test(0.0));
+            let list = list_of(&data, &view, width_px, (Blend::Opaque, slab));
+            let in_two = list_of(&data, &view, width_px, (Blend::Test(0.0), slab));
             let whole = drawn(&list, &view, sample_count);
             let triangles = drawn(&in_two, &view, sample_count);
             let (mut covered, mut moved, mut worst) = (0_u32, 0_u32, [0.0_f32; 3]);
@@ -197,14 +207,16 @@ fn a_line_is_what_its_two_triangles_are() {
                     worst = std::array::from_fn(|kind| worst[kind].max(apart[kind]));
                 }
             }
-            let case = format!("{projection:?}, {width_px} px, {sample_count} samples");
-            assert!(covered > 5000, "{case}: {covered} pixels covered");
+            let case =
+                format!("{projection:?}, z = {z}, {width_px} px, {sample_count} samples, {slab:?}");
+            assert!(covered > 3000, "{case}: {covered} pixels covered");
             assert!(f64::from(moved) <= MOVED * f64::from(covered), "{case}: {moved} moved");
             let [color, normal, depth] = worst;
-            let is_alike = color <= COLOR_TOLERANCE && normal <= NORMAL_TOLERANCE;
-            // with more samples each triangle of the two has its colour in the middle of its own
+            let is_alike =
+                color <= COLOR_TOLERANCE && normal <= NORMAL_TOLERANCE && depth <= DEPTH_TOLERANCE;
+            // with more samples each triangle of the two has its colour in the middle of its own, and
+            // a rim's depth may be that of a sample which only one way covers
             assert!(is_alike || sample_count > 1, "{case}: {worst:?}");
-            assert!(depth <= DEPTH_TOLERANCE, "{case}: {worst:?}");
             let flagged = |list: &DrawList, flag: u32| {
                 let positions = samples::positions(sample_count).expect("allowed");
                 let grid = Grid::new(&view, 64, 0..3, &positions);
@@ -215,8 +227,23 @@ fn a_line_is_what_its_two_triangles_are() {
                 (unit.shapes.iter().filter(|shape| shape.tag.has(flag)).count(), all)
             };
             let (lines, all) = flagged(&list, flags::LINE);
-            assert!(lines > 200 && lines < all, "{case}: {lines} of {all}, and long ones");
+            assert!(lines > 20 && lines < all, "{case}: {lines} of {all}, and others");
             assert_eq!(flagged(&in_two, flags::LINE).0, 0, "{case}: tested, so in two");
         }
+    }
+}
+
+#[test]
+fn lines_of_one_depth_keep_their_order() {
+    // the first is long, so it is two triangles; the second is a parallelogram inside of it
+    let view = pixel_view(100, 5);
+    let ends = [[1.0, 2.5, 0.0], [99.0, 2.5, 0.0], [20.0, 2.5, 0.0], [40.0, 2.5, 0.0]];
+    for (indices, ids) in [([0, 1, 2, 3], [0, 0, 0]), ([2, 3, 0, 1], [1, 0, 1])] {
+        let mut list = DrawList::default();
+        let data = buffers(&ends, &indices);
+        add(&mut list, &view, Primitive::Lines { width_px: 1.0 }, data, Blend::Opaque);
+        let frame = drawn(&list, &view, 1);
+        let row = &frame.ids[2 * 100..3 * 100];
+        assert_eq!([row[10], row[30], row[50]], ids, "the first of each pixel");
     }
 }
