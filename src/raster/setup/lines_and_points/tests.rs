@@ -179,9 +179,11 @@ fn a_line_is_what_its_two_triangles_are() {
     let projections =
         [Projection::Perspective { fov_y: 1.2 }, Projection::Orthographic { height: 6.0 }];
     // before the lines, and among them
-    for (projection, z) in projections.into_iter().flat_map(|p| [(p, 4.0), (p, 0.5)]) {
+    for (projection, z, near) in
+        projections.into_iter().flat_map(|p| [(p, 4.0, 0.25), (p, 0.5, 1.5)])
+    {
         let (eye, to) = (DVec3::new(0.1, 0.2, z), DVec3::new(0.0, 0.1, -3.0));
-        let view = View::new(eye, to, DVec3::Y, projection, (200, 150), 0.25).expect("valid");
+        let view = View::new(eye, to, DVec3::Y, projection, (200, 150), near).expect("valid");
         let settings = [(1.0, 1, None), (0.7, 4, None), (3.0, 1, None), (12.0, 16, None)];
         for (width_px, sample_count, slab) in
             settings.into_iter().chain([(2.0, 1, Some([1.5, 3.5]))])
@@ -209,7 +211,7 @@ fn a_line_is_what_its_two_triangles_are() {
             }
             let case =
                 format!("{projection:?}, z = {z}, {width_px} px, {sample_count} samples, {slab:?}");
-            assert!(covered > 3000, "{case}: {covered} pixels covered");
+            assert!(covered > 2000, "{case}: {covered} pixels covered");
             assert!(f64::from(moved) <= MOVED * f64::from(covered), "{case}: {moved} moved");
             let [color, normal, depth] = worst;
             let is_alike =
