@@ -193,6 +193,22 @@ fn a_line_is_what_its_two_triangles_are() {
             let in_two = list_of(&data, &view, width_px, (Blend::Test(0.0), slab));
             let whole = drawn(&list, &view, sample_count);
             let triangles = drawn(&in_two, &view, sample_count);
+            let outputs = Outputs {
+                color: true,
+                depth: false,
+                ids: false,
+                normal: false,
+                albedo: false,
+                color8: false,
+            };
+            let background = Vec4::ZERO;
+            let color_alone =
+                Settings { sample_count, outputs, background, counts_fragments: false };
+            let alone = Renderer::default().render(&list, &view, &color_alone, &Job::default());
+            let alone = alone.expect("valid").color;
+            let apart = |(a, b): (&Vec4, &Vec4)| (*a - *b).abs().max_element();
+            let most = alone.iter().zip(&whole.color).map(apart).fold(0.0_f32, f32::max);
+            assert!(most <= 1e-5, "{width_px} px: colour alone is {most} from that among planes");
             let (mut covered, mut moved, mut worst) = (0_u32, 0_u32, [0.0_f32; 3]);
             for at in 0..whole.ids.len() {
                 let is_drawn = [whole.ids[at], triangles.ids[at]] != [EMPTY_ID; 2];
