@@ -2,7 +2,11 @@
 
 use std::ops::Range;
 
+use fearless_simd::i32x8;
+use fearless_simd::prelude::*;
+
 use crate::raster::samples::{SUBPIXEL_BITS, SUBPIXEL_COUNT, SamplePosition};
+use crate::simd::LANE_COUNT;
 use crate::view::View;
 
 /// The picture's grid of tiles and the rows that are drawn now.
@@ -97,9 +101,47 @@ impl Grid {
     }
 }
 
+/// Drawn pixels of eight boxes, ends inclusive.
+pub(crate) struct PixelBoxes {
+    /// x0, y0, x1, y1 of each.
+    pixels: [[i32; LANE_COUNT]; 4],
+    /// A bit for each that holds any.
+    pub(crate) held: u64,
+}
+
+impl PixelBoxes {
+    /// As [`Grid::pixel_box`], of eight boxes at once.
+    #[inline(always)]
+    pub(crate) fn new<S: Simd>(
+        simd: S,
+        grid: &Grid,
+        low: [i32x8<S>; 2],
+        high: [i32x8<S>; 2],
+    ) -> Self {
+        let [left, top, right, bottom] = grid.drawn();
+        let up = SUBPIXEL_COUNT - 1;
+        let [low_x, low_y] = grid.sample_low;
+        let [high_x, high_y] = grid.sample_high;
+        let x0 = ((low[0] + (up - high_x)) >> SUBPIXEL_BITS).max(i32x8::splat(simd, left));
+        let y0 = ((low[1] + (up - high_y)) >> SUBPIXEL_BITS).max(i32x8::splat(simd, top));
+        let x1 = ((high[0] - low_x) >> SUBPIXEL_BITS).min(i32x8::splat(simd, right));
+        let y1 = ((high[1] - low_y) >> SUBPIXEL_BITS).min(i32x8::splat(simd, bottom));
+        let held = (x0.simd_le(x1) & y0.simd_le(y1)).to_bitmask();
+        Self { pixels: [x0.into(), y0.into(), x1.into(), y1.into()], held }
+    }
+
+    /// One that holds pixels, as a shape stores it.
+    #[inline(always)]
+    pub(crate) fn get(&self, lane: usize) -> [u16; 4] {
+        let lane = lane % LANE_COUNT;
+        let [x0, y0, x1, y1] = &self.pixels;
+        [pixel_u16(x0[lane]), pixel_u16(y0[lane]), pixel_u16(x1[lane]), pixel_u16(y1[lane])]
+    }
+}
+
 /// A pixel of a picture as it is stored.
 #[inline(always)]
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 16384")]
-pub(crate) fn pixel_u16(pixel: i32) -> u16 {
+fn pixel_u16(pixel: i32) -> u16 {
     pixel as u16
 }

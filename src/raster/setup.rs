@@ -16,9 +16,8 @@ use glam::Vec3;
 
 use crate::draw_list::{Blend, DrawList, Item, Primitive, Surface};
 use crate::raster::clip::clip_polygon;
-use crate::raster::grid::{Grid, pixel_u16};
+use crate::raster::grid::{Grid, PixelBoxes};
 use crate::raster::placing::{Chosen, GUARD_PX, Placing, ScreenVertex, snap};
-use crate::raster::samples::{SUBPIXEL_BITS, SUBPIXEL_COUNT};
 use crate::raster::tile::slab_keys;
 use crate::simd::{Kernel, LANE_COUNT, Level};
 use crate::view::View;
@@ -428,17 +427,10 @@ impl Kernel for SetUp<'_> {
         let alone = clipped | wide.to_bitmask();
         let (ux, vx, uy, vy) = (sx[1] - sx[0], sx[2] - sx[0], sy[1] - sy[0], sy[2] - sy[0]);
         let doubled_area = ux * vy - uy * vx;
-        let [left, top, right, bottom] = context.grid.drawn();
-        let up = SUBPIXEL_COUNT - 1;
-        let [low_x, low_y] = context.grid.sample_low;
-        let [high_x, high_y] = context.grid.sample_high;
-        let x0 = ((low[0] + (up - high_x)) >> SUBPIXEL_BITS).max(i32x8::splat(simd, left));
-        let y0 = ((low[1] + (up - high_y)) >> SUBPIXEL_BITS).max(i32x8::splat(simd, top));
-        let x1 = ((high[0] - low_x) >> SUBPIXEL_BITS).min(i32x8::splat(simd, right));
-        let y1 = ((high[1] - low_y) >> SUBPIXEL_BITS).min(i32x8::splat(simd, bottom));
+        let pixels = PixelBoxes::new(simd, context.grid, low, high);
         let zero = i32x8::splat(simd, 0);
-        let drawn = x0.simd_le(x1) & y0.simd_le(y1) & !doubled_area.simd_eq(zero);
-        let mut left = (drawn.to_bitmask() | alone) & ((1_u64 << batch.length) - 1);
+        let drawn = pixels.held & (!doubled_area.simd_eq(zero)).to_bitmask();
+        let mut left = (drawn | alone) & ((1_u64 << batch.length) - 1);
         if left == 0 {
             return;
         }
@@ -446,7 +438,6 @@ impl Kernel for SetUp<'_> {
         let keys: [[f32; LANE_COUNT]; 3] = [key[0].into(), slope_x.into(), slope_y.into()];
         let nearest: [f32; LANE_COUNT] = key[0].max(key[1]).max(key[2]).into();
         let farthest: [f32; LANE_COUNT] = key[0].min(key[1]).min(key[2]).into();
-        let pixels: [[i32; LANE_COUNT]; 4] = [x0.into(), y0.into(), x1.into(), y1.into()];
         let turned = doubled_area.simd_lt(zero).to_bitmask();
         while left != 0 {
             let lane = left.trailing_zeros() as usize % LANE_COUNT;
@@ -475,12 +466,7 @@ impl Kernel for SetUp<'_> {
                 key: [keys[0][lane], keys[1][lane], keys[2][lane]],
                 key_range,
                 origin: [floats[0][0][lane], floats[1][0][lane]],
-                pixels: [
-                    pixel_u16(pixels[0][lane]),
-                    pixel_u16(pixels[1][lane]),
-                    pixel_u16(pixels[2][lane]),
-                    pixel_u16(pixels[3][lane]),
-                ],
+                pixels: pixels.get(lane),
                 tag,
             });
             unit.origins.push(Origin { vertices, primitive, tag });
@@ -506,8 +492,12 @@ fn slopes<S: Simd>(
     let [ux, vx, uy, vy] = [x[1] - x[0], x[2] - x[0], y[1] - y[0], y[2] - y[0]];
     let (uk, vk) = (key[1] - key[0], key[2] - key[0]);
     let area = ux * vy - vx * uy;
-    let slope_x = (uk * vy - vk * uy) / area;
-    let slope_y = (vk * ux - uk * vx) / area;
+    finite_or_none(simd, [(uk * vy - vk * uy) / area, (vk * ux - uk * vx) / area])
+}
+
+/// Slopes, or 0 where either is not finite.
+#[inline(always)]
+fn finite_or_none<S: Simd>(simd: S, [slope_x, slope_y]: [f32x8<S>; 2]) -> [f32x8<S>; 2] {
     // infinity times 0 is NaN, which is not 0
     let none = f32x8::splat(simd, 0.0);
     let finite = (slope_x * 0.0 + slope_y * 0.0).simd_eq(none);

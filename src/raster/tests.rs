@@ -14,7 +14,7 @@ use crate::texture::srgb::unorm8;
 use crate::texture::{Filter, Image, Sampler, Texture, Wrap};
 use crate::view::{Projection, View};
 
-const ALL: Outputs =
+pub(crate) const ALL: Outputs =
     Outputs { color: true, depth: true, ids: true, normal: true, albedo: true, color8: true };
 
 /// Parallel view along -z from z = 10: x and y are pixels, x right, y down from the top left.

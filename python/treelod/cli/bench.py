@@ -79,17 +79,18 @@ def _show_rows(rows: list[Row]) -> None:
     table.add_column("peer", overflow="fold")
     for name in ("ours ms", "peer ms", "speed-up", "aim", "ours error", "peer error"):
         table.add_column(name, justify="right", no_wrap=True)
-    before = None
+    case = None
     for row in rows:
         # a case has several peers
-        if row.case != before:
+        is_next = row.case != case
+        case = row.case
+        if is_next:
             table.add_section()
-        case, before = Text(row.case if row.case != before else ""), row.case
         errors = [
             "" if value is None else f"{value:.5f}" for value in (row.ours_error, row.peer_error)
         ]
         table.add_row(
-            case,
+            Text(case if is_next else ""),
             Text(row.peer),
             f"{row.ours_secs * 1e3:.2f}",
             f"{row.peer_secs * 1e3:.2f}",

@@ -7,9 +7,8 @@ use fearless_simd::{f32x8, i32x8};
 use glam::Vec3;
 
 use super::{Batch, Context, Origin, Shape, Unit, WIDE, flags};
-use crate::raster::grid::pixel_u16;
+use crate::raster::grid::PixelBoxes;
 use crate::raster::placing::{GUARD_PX, ScreenVertex, snap, snap_lanes};
-use crate::raster::samples::{SUBPIXEL_BITS, SUBPIXEL_COUNT};
 use crate::simd::{Kernel, LANE_COUNT};
 
 impl Unit {
@@ -101,10 +100,6 @@ impl Kernel for SetUpLines<'_> {
         let indices = list.indices_of(item).indices[range].as_chunks::<2>().0;
         unit.shapes.reserve(indices.len());
         unit.origins.reserve(indices.len());
-        let up = SUBPIXEL_COUNT - 1;
-        let [low_x, low_y] = grid.sample_low;
-        let [high_x, high_y] = grid.sample_high;
-        let [left, top, right, bottom] = grid.drawn();
         let (lowest, highest) = context.plain_keys;
         let none = f32x8::splat(simd, 0.0);
         let guard = f32x8::splat(simd, GUARD_PX);
@@ -157,25 +152,17 @@ impl Kernel for SetUpLines<'_> {
                 & nearest.simd_le(f32x8::splat(simd, highest));
             // a line without length has corners that are no numbers: it is not there either way
             let whole = held & plain & !wide;
-            let x0 = ((low[0] + (up - high_x)) >> SUBPIXEL_BITS).max(i32x8::splat(simd, left));
-            let y0 = ((low[1] + (up - high_y)) >> SUBPIXEL_BITS).max(i32x8::splat(simd, top));
-            let x1 = ((high[0] - low_x) >> SUBPIXEL_BITS).min(i32x8::splat(simd, right));
-            let y1 = ((high[1] - low_y) >> SUBPIXEL_BITS).min(i32x8::splat(simd, bottom));
+            let pixels = PixelBoxes::new(simd, grid, low, high);
             let area = ux * vy - uy * vx;
-            let drawn =
-                whole & x0.simd_le(x1) & y0.simd_le(y1) & area.simd_gt(i32x8::splat(simd, 0));
+            let drawn = whole & area.simd_gt(i32x8::splat(simd, 0));
             let slope = (other_key - key) / squared;
-            let (slope_x, slope_y) = (slope * along_x, slope * along_y);
-            // infinity times 0 is NaN, which is not 0
-            let finite = (slope_x * 0.0 + slope_y * 0.0).simd_eq(none);
-            let (slope_x, slope_y) = (finite.select(slope_x, none), finite.select(slope_y, none));
+            let slopes = super::finite_or_none(simd, [slope * along_x, slope * along_y]);
             let steps: [[i32; LANE_COUNT]; 6] =
                 [sx0.into(), sx1.into(), sx2.into(), sy0.into(), sy1.into(), sy2.into()];
-            let pixels: [[i32; LANE_COUNT]; 4] = [x0.into(), y0.into(), x1.into(), y1.into()];
             let place: [[f32; LANE_COUNT]; 2] = [x.into(), y.into()];
-            let keys: [[f32; LANE_COUNT]; 3] = [key.into(), slope_x.into(), slope_y.into()];
+            let keys: [[f32; LANE_COUNT]; 3] = [key.into(), slopes[0].into(), slopes[1].into()];
             let key_ranges: [[f32; LANE_COUNT]; 2] = [farthest.into(), nearest.into()];
-            let (drawn, whole) = (drawn.to_bitmask(), whole.to_bitmask());
+            let (drawn, whole) = (drawn.to_bitmask() & pixels.held, whole.to_bitmask());
             let mut left_over = (drawn | !whole) & ((1_u64 << chosen.len()) - 1);
             while left_over != 0 {
                 let lane = left_over.trailing_zeros() as usize % LANE_COUNT;
@@ -196,12 +183,7 @@ impl Kernel for SetUpLines<'_> {
                     key: [keys[0][lane], keys[1][lane], keys[2][lane]],
                     key_range: [key_ranges[0][lane], key_ranges[1][lane]],
                     origin: [place[0][lane], place[1][lane]],
-                    pixels: [
-                        pixel_u16(pixels[0][lane]),
-                        pixel_u16(pixels[1][lane]),
-                        pixel_u16(pixels[2][lane]),
-                        pixel_u16(pixels[3][lane]),
-                    ],
+                    pixels: pixels.get(lane),
                     tag,
                 });
                 let vertices = [ends[0][lane], ends[1][lane], ends[1][lane]];
@@ -231,10 +213,6 @@ impl Kernel for SetUpPoints<'_> {
         let indices = &list.indices_of(item).indices[range];
         unit.shapes.reserve(indices.len());
         unit.origins.reserve(indices.len());
-        let up = SUBPIXEL_COUNT - 1;
-        let [low_x, low_y] = grid.sample_low;
-        let [high_x, high_y] = grid.sample_high;
-        let [left, top, right, bottom] = grid.drawn();
         let (lowest, highest) = context.plain_keys;
         let mut first_primitive = primitives.start;
         for chosen in indices.chunks(LANE_COUNT) {
@@ -245,23 +223,15 @@ impl Kernel for SetUpPoints<'_> {
             // a sample on the right or lower edge belongs to the next square
             let [rect_x0, rect_y0] = [snap_lanes(x - half), snap_lanes(y - half)];
             let [rect_x1, rect_y1] = [snap_lanes(x + half) - 1, snap_lanes(y + half) - 1];
-            let x0 = ((rect_x0 + (up - high_x)) >> SUBPIXEL_BITS).max(i32x8::splat(simd, left));
-            let y0 = ((rect_y0 + (up - high_y)) >> SUBPIXEL_BITS).max(i32x8::splat(simd, top));
-            let x1 = ((rect_x1 - low_x) >> SUBPIXEL_BITS).min(i32x8::splat(simd, right));
-            let y1 = ((rect_y1 - low_y) >> SUBPIXEL_BITS).min(i32x8::splat(simd, bottom));
-            let drawn = inside
-                & x0.simd_le(x1)
-                & y0.simd_le(y1)
-                & rect_x0.simd_le(rect_x1)
-                & rect_y0.simd_le(rect_y1);
+            let pixels = PixelBoxes::new(simd, grid, [rect_x0, rect_y0], [rect_x1, rect_y1]);
+            let drawn = inside & rect_x0.simd_le(rect_x1) & rect_y0.simd_le(rect_y1);
             let plain = (key.simd_gt(f32x8::splat(simd, lowest))
                 & key.simd_le(f32x8::splat(simd, highest)))
             .to_bitmask();
             let rect: [[i32; LANE_COUNT]; 4] =
                 [rect_x0.into(), rect_y0.into(), rect_x1.into(), rect_y1.into()];
-            let pixels: [[i32; LANE_COUNT]; 4] = [x0.into(), y0.into(), x1.into(), y1.into()];
             let place: [[f32; LANE_COUNT]; 3] = [x.into(), y.into(), key.into()];
-            let mut left_over = drawn.to_bitmask() & ((1_u64 << chosen.len()) - 1);
+            let mut left_over = drawn.to_bitmask() & pixels.held & ((1_u64 << chosen.len()) - 1);
             while left_over != 0 {
                 let lane = left_over.trailing_zeros() as usize % LANE_COUNT;
                 left_over &= left_over.wrapping_sub(1);
@@ -275,12 +245,7 @@ impl Kernel for SetUpPoints<'_> {
                     key: [key, 0.0, 0.0],
                     key_range: [key; 2],
                     origin: [place[0][lane], place[1][lane]],
-                    pixels: [
-                        pixel_u16(pixels[0][lane]),
-                        pixel_u16(pixels[1][lane]),
-                        pixel_u16(pixels[2][lane]),
-                        pixel_u16(pixels[3][lane]),
-                    ],
+                    pixels: pixels.get(lane),
                     tag,
                 });
                 let primitive = first_primitive.wrapping_add(super::u32_from(lane));

@@ -3,12 +3,12 @@
 use glam::{DAffine3, DVec3, Vec2, Vec4};
 
 use super::*;
-use crate::draw_list::{Blend, Buffers, DrawList, Geometry, Instance, Item, Primitive, Surface};
+use crate::draw_list::{Blend, Buffers, DrawList, Instance, Primitive};
 use crate::job::Job;
 use crate::raster::grid::Grid;
 use crate::raster::placing::{Chosen, Placing};
 use crate::raster::setup::cut;
-use crate::raster::tests::{add, buffers, pixel_view};
+use crate::raster::tests::{ALL, add, buffers, pixel_view};
 use crate::raster::{EMPTY_ID, Frame, Outputs, Renderer, Settings, samples};
 use crate::simd::Level;
 use crate::view::{Projection, View};
@@ -34,6 +34,15 @@ fn cloud(count: u32) -> Buffers {
         source_ids: Vec::new(),
         positions,
     }
+}
+
+/// A list of these alone, stretched and mirrored.
+fn placed(data: Buffers, view: &View, primitive: Primitive, blend: Blend) -> DrawList {
+    let mut list = DrawList::default();
+    add(&mut list, view, primitive, data, blend);
+    let place = DAffine3::from_scale(DVec3::new(1.0, 0.8, -1.1));
+    list.instances[0] = Instance::new(&place, view);
+    list
 }
 
 /// Box in steps, pixels, key bits, whether the front is seen, and the vertex.
@@ -71,21 +80,7 @@ fn eight_points_at_once_are_as_one_by_one() {
         let (eye, to) = (DVec3::new(0.1, 0.2, 0.0), DVec3::new(0.0, 0.1, -3.0));
         let view = View::new(eye, to, DVec3::Y, projection, (70, 50), 0.25).expect("valid");
         for (size_px, sample_count) in [(0.004, 4), (0.7, 1), (2.3, 16), (300.0, 8)] {
-            let mut list = DrawList::default();
-            let source = list.geometry(&Geometry::new(cloud(count)));
-            let place = DAffine3::from_scale(DVec3::new(1.0, 0.8, -1.1));
-            let instances = list.instance(Instance::new(&place, &view));
-            list.items.push(Item {
-                primitive: Primitive::Points { size_px },
-                vertices: source,
-                indices: source,
-                primitives: 0..count,
-                instances,
-                surface: Surface::VertexColor,
-                blend: Blend::Opaque,
-                depth_write: true,
-                slab: None,
-            });
+            let list = placed(cloud(count), &view, Primitive::Points { size_px }, Blend::Opaque);
             let positions = samples::positions(sample_count).expect("allowed");
             let grid = Grid::new(&view, 32, 0..2, &positions);
             let expected = by_definition(&list, &view, &grid, size_px * 0.5);
@@ -134,28 +129,12 @@ fn list_of(
     width_px: f32,
     (blend, slab): (Blend, Option<[f32; 2]>),
 ) -> DrawList {
-    let mut list = DrawList::default();
-    let count = u32::try_from(data.indices.len() / 2).expect("few");
-    let source = list.geometry(&Geometry::new(data.clone()));
-    let place = DAffine3::from_scale(DVec3::new(1.0, 0.8, -1.1));
-    let instances = list.instance(Instance::new(&place, view));
-    list.items.push(Item {
-        primitive: Primitive::Lines { width_px },
-        vertices: source,
-        indices: source,
-        primitives: 0..count,
-        instances,
-        surface: Surface::VertexColor,
-        blend,
-        depth_write: true,
-        slab,
-    });
+    let mut list = placed(data.clone(), view, Primitive::Lines { width_px }, blend);
+    list.items[0].slab = slab;
     list
 }
 
-fn drawn(list: &DrawList, view: &View, sample_count: u32) -> Frame {
-    let outputs =
-        Outputs { color: true, depth: true, ids: true, normal: true, albedo: true, color8: false };
+fn drawn(list: &DrawList, view: &View, sample_count: u32, outputs: Outputs) -> Frame {
     let settings =
         Settings { sample_count, outputs, background: Vec4::ZERO, counts_fragments: false };
     Renderer::default().render(list, view, &settings, &Job::default()).expect("valid")
@@ -191,21 +170,9 @@ fn a_line_is_what_its_two_triangles_are() {
             let data = sticks(400);
             let list = list_of(&data, &view, width_px, (Blend::Opaque, slab));
             let in_two = list_of(&data, &view, width_px, (Blend::Test(0.0), slab));
-            let whole = drawn(&list, &view, sample_count);
-            let triangles = drawn(&in_two, &view, sample_count);
-            let outputs = Outputs {
-                color: true,
-                depth: false,
-                ids: false,
-                normal: false,
-                albedo: false,
-                color8: false,
-            };
-            let background = Vec4::ZERO;
-            let color_alone =
-                Settings { sample_count, outputs, background, counts_fragments: false };
-            let alone = Renderer::default().render(&list, &view, &color_alone, &Job::default());
-            let alone = alone.expect("valid").color;
+            let whole = drawn(&list, &view, sample_count, ALL);
+            let triangles = drawn(&in_two, &view, sample_count, ALL);
+            let alone = drawn(&list, &view, sample_count, Outputs::COLOR).color;
             let apart = |(a, b): (&Vec4, &Vec4)| (*a - *b).abs().max_element();
             let most = alone.iter().zip(&whole.color).map(apart).fold(0.0_f32, f32::max);
             assert!(most <= 1e-5, "{width_px} px: colour alone is {most} from that among planes");
@@ -260,7 +227,7 @@ fn lines_of_one_depth_keep_their_order() {
         let mut list = DrawList::default();
         let data = buffers(&ends, &indices);
         add(&mut list, &view, Primitive::Lines { width_px: 1.0 }, data, Blend::Opaque);
-        let frame = drawn(&list, &view, 1);
+        let frame = drawn(&list, &view, 1, ALL);
         let row = &frame.ids[2 * 100..3 * 100];
         assert_eq!([row[10], row[30], row[50]], ids, "the first of each pixel");
     }
