@@ -120,4 +120,5 @@ def _rows(name: str, scene: Scene, camera: Camera, repeats: int) -> Iterator[Row
             error_kind="FLIP to the CPU renderer's picture",
         )
         if own:
+            # all but the first round's
             yield row(peer="the card's own clock", peer_secs=float(np.median(own[LEAD_IN + 1 :])))

@@ -102,7 +102,6 @@ impl Kernel for SetUpLines<'_> {
         unit.origins.reserve(indices.len());
         let (lowest, highest) = context.plain_keys;
         let none = f32x8::splat(simd, 0.0);
-        let guard = f32x8::splat(simd, GUARD_PX);
         let limit = i32x8::splat(simd, WIDE);
         let mut first_primitive = primitives.start;
         for chosen in indices.chunks(LANE_COUNT) {
@@ -125,17 +124,6 @@ impl Kernel for SetUpLines<'_> {
             // the near end's two corners, and a far one; the other is opposite
             let corner_x = [x - across_x, other_x - across_x, x + across_x];
             let corner_y = [y - across_y, other_y - across_y, y + across_y];
-            let mut held = inside & other_inside;
-            for at in [
-                corner_x[0].abs(),
-                corner_y[0].abs(),
-                corner_x[1].abs(),
-                corner_y[1].abs(),
-                corner_x[2].abs(),
-                corner_y[2].abs(),
-            ] {
-                held &= at.simd_le(guard);
-            }
             let [sx0, sx1, sx2] =
                 [snap_lanes(corner_x[0]), snap_lanes(corner_x[1]), snap_lanes(corner_x[2])];
             let [sy0, sy1, sy2] =
@@ -150,8 +138,8 @@ impl Kernel for SetUpLines<'_> {
             let (farthest, nearest) = (key.min(other_key), key.max(other_key));
             let plain = farthest.simd_gt(f32x8::splat(simd, lowest))
                 & nearest.simd_le(f32x8::splat(simd, highest));
-            // a line without length has corners that are no numbers: it is not there either way
-            let whole = held & plain & !wide;
+            // a line without length is nowhere, in two triangles as in one shape
+            let whole = inside & other_inside & squared.simd_gt(none) & plain & !wide;
             let pixels = PixelBoxes::new(simd, grid, low, high);
             let area = ux * vy - uy * vx;
             let drawn = whole & area.simd_gt(i32x8::splat(simd, 0));
